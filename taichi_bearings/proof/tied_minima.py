@@ -71,7 +71,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -81,159 +80,20 @@ from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.curvature import Slipping, bearable, nearest_minimum, rises
 from taichi_bearings.proof.enclosure import UP, Enclosure
 from taichi_bearings.proof.judged_network import JudgedNetwork, Motion
+from taichi_bearings.proof.oblique_limits import Movable, ObliqueLimits, not_balanced
+from taichi_bearings.proof.pulls import EPS, Pulls
 from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, TIED, UNDECIDED
 
-# A contact is put into C if its stored friction misses mu F_n by no more than this share, and if the share that is not
-# along one component is below MISSED_DIRECTION. Friction of full size that is along one component but for MISSED_LIMIT
-# has up to (2 MISSED_LIMIT) ** 0.5 = 1.4e-3 across it. Wrong choices only make the proof fail.
+# A contact is put into C if its stored friction misses mu F_n by no more than one of these shares, which are tried one
+# after the other: where friction of full size is 1e-6 across one contact, another one may miss this. Then contacts that
+# miss more than SURELY_FULL leave C again where friction would not balance: a contact that balances one which slips
+# along it but for 1e-4 has 5e-9 of its friction left. Friction is taken to be along one component if the other one is
+# below the root of MISSED_ACROSS times the share, 1.4 times the most that friction of full size can have there. Wrong
+# choices only make the proof fail.
 MISSED_LIMIT = 1e-6
-MISSED_DIRECTION = 2e-3
-EPS = np.finfo(np.float64).eps  # distance from 1 to the next double
+MISSED_LIMITS = (MISSED_LIMIT, 1e-5)
+MISSED_ACROSS, SURELY_FULL = 4, 1e-12
 PATH_ROUNDING = 1 + 1e-12  # factor that covers the rounding of a few products, and of sums along a path of 1000 slips
-
-
-@dataclass(frozen=True)
-class Pulls:
-    """The n contacts of one sample that bear all their friction, and the direction of the force (*pull*) of each along
-    the two spin components that matter. These are numbered 0 and 1, in arguments `slot` and on the first axis of arrays
-    (2, ...).
-
-    First come the contacts that slip (S), then those that do not slip (C). T are the contacts that neither slip nor
-    bear all their friction. A *domain* is a group of spheres that some set of contacts joins in one component.
-
-    own : (n,), indices of the contacts among all of the network.
-    lower, upper : (n,), indices of their two spheres.
-    felt : (2, n) mask, True where a component of the spins makes the contact slip.
-    sign : (2, n), sign of the slip along each component: of the spin at `upper` less that at `lower`, times signs that
-        differ between neighbours. For C it is the sign of the slip that its friction would go with, and 0 along the
-        component in which it bears nothing.
-    coefficient : (n, p), friction limits in exact proportions: that of a contact is the exact sum of its p numbers.
-    in_s : (n,) mask of the contacts of S.
-    slipless_domain : (2, spheres), by component the label of the domain of each sphere if T and C join spheres. The
-        smallest labels, 0, 1, ..., are those of domains with a driven sphere, which are imposed.
-    firm_domain : (2, spheres), such labels if T alone joins spheres.
-    locked_domain : (2, spheres), such labels if T joins spheres, and those of C that bear nothing along the
-        component.
-    driven : (spheres,) mask of the driven spheres."""
-
-    own: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    felt: np.ndarray
-    sign: np.ndarray
-    coefficient: np.ndarray
-    in_s: np.ndarray
-    slipless_domain: np.ndarray
-    firm_domain: np.ndarray
-    locked_domain: np.ndarray
-    driven: np.ndarray
-
-    def imposed_labels(self, label: np.ndarray, slot: int) -> int:
-        """Return the number of domains with a driven sphere in component `slot` (0 or 1). These have the labels 0, 1,
-        ... up to this number less 1.
-
-        label : (2, spheres), the label of the domain of each sphere: one of the fields `slipless_domain`, `firm_domain`
-            and `locked_domain`.
-        """
-        return int(label[slot][self.driven].max()) + 1
-
-    def apart(self, label: np.ndarray, slot: int) -> np.ndarray:
-        """Return the mask (n,) of the contacts whose two spheres have different labels in component `slot` (0 or 1).
-
-        label : (2, spheres), a label of each sphere for either component, such as that of its domain."""
-        found: np.ndarray = label[slot, self.lower] != label[slot, self.upper]
-        return found
-
-    def touches(self, label: np.ndarray, value: int) -> np.ndarray:
-        """Return the mask (n,) of the contacts whose slip may change when one domain moves: slipping contacts of which
-        exactly one sphere is in it, and contacts without slip of which any sphere is in it.
-
-        label : (spheres,), the label of the domain (group of spheres that move together) of each sphere.
-        value : the label of the domain that moves."""
-        ends = label[self.lower] == value, label[self.upper] == value
-        found: np.ndarray = np.where(self.in_s, ends[0] != ends[1], ends[0] | ends[1])
-        return found
-
-    @cached_property
-    def turned_by(self) -> np.ndarray:
-        """(2, n) mask, for either component True for a *turning* contact: it slips along the other component, so that
-        its slip changes its direction as soon as one of its spheres moves in this component."""
-        both = self.felt.all(axis=0)
-        return np.array([both & self.apart(self.slipless_domain, 1), both & self.apart(self.slipless_domain, 0)])
-
-    def turned_at(self, domain: int, slot: int) -> np.ndarray:
-        """Return the mask (n,) of the turning contacts that lead from a domain to another one.
-
-        domain : label of the domain in `slipless_domain`, for component `slot` (0 or 1)."""
-        ends = self.slipless_domain[slot, self.lower] == domain, self.slipless_domain[slot, self.upper] == domain
-        found: np.ndarray = self.in_s & self.turned_by[slot] & (ends[0] != ends[1])
-        return found
-
-    @cached_property
-    def welded_slipless(self) -> np.ndarray:
-        """(2, spheres), for either component the number of the welded domain of each sphere, where slipless domains are
-        welded: 0 for a welded domain with a driven sphere, then 1, 2, ... (:meth:`_welded_domains` says what that is).
-        """
-        return np.array([self._welded_domains(self.slipless_domain, slot) for slot in range(2)])
-
-    @cached_property
-    def welded_locked(self) -> np.ndarray:
-        """(2, spheres), for either component the number of the welded domain of each sphere, where locked domains are
-        welded: 0 for a welded domain with a driven sphere, then 1, 2, ... (:meth:`_welded_domains` says what that is).
-        """
-        return np.array([self._welded_domains(self.locked_domain, slot) for slot in range(2)])
-
-    def _welded_domains(self, label: np.ndarray, slot: int) -> np.ndarray:
-        """Return the number (spheres,) of the welded domain of each sphere in component `slot` (0 or 1): 0 for those
-        that contain a driven sphere, then 1, 2, ...
-
-        A domain is a group of spheres that turn as one in a component. Some domains have to move together from one
-        minimum of the power to another, since otherwise the slip of a contact between them would change its direction.
-        Such domains together are a welded domain.
-
-        label : (2, spheres), labels of the domains of which welded ones are made: `slipless_domain` or `locked_domain`.
-        """
-        domain = label[slot]
-        joins = self.turned_by[slot] & self.apart(label, slot)
-        first, second = domain[self.lower[joins]], domain[self.upper[joins]]
-        # all domains with a driven sphere count as joined, as none of them can move; label 0 is one of them
-        imposed = np.arange(self.imposed_labels(label, slot))
-        first, second = np.append(first, 0 * imposed), np.append(second, imposed)
-        joined = pieces(int(domain.max()) + 1, first, second)
-        found = np.zeros(int(joined.max()) + 1, dtype=bool)
-        found[0], found[joined[domain]] = True, True
-        of_spheres: np.ndarray = (np.cumsum(found) - 1)[joined][domain]
-        return of_spheres
-
-    @cached_property
-    def same_in_both(self) -> np.ndarray:
-        """(spheres,), a label of each sphere. Two spheres have equal labels if they turn as one in both spin
-        components: if they have equal `slipless_domain`, since contacts that do not slip join them, directly or through
-        others."""
-        return np.unique(self.slipless_domain, axis=1, return_inverse=True)[1].reshape(-1)
-
-    def known_pulls_cancel_at(self, owner: np.ndarray, slot: int) -> np.ndarray:
-        """Return a mask (labels,): for each label True if the exactly known forces along component `slot` (0 or 1) add
-        up to 0 on the spheres with this label. It is True for labels without any such force.
-
-        The force of a contact is known, plus or minus mu F_n, if it slips along this component alone (or does not slip,
-        but bears all its friction along it). Contacts within one domain pull it both ways and are left out.
-
-        owner : (spheres,), the label of each sphere, such as the number of its domain.
-        """
-        exact = self.felt[slot] & ~self.turned_by[slot] & np.where(
-            self.in_s, self.apart(self.slipless_domain, slot), self.apart(self.firm_domain, slot)
-        )  # fmt: skip
-        pull = self.sign[slot, exact, None] * self.coefficient[exact]
-        of = np.repeat(np.concatenate([owner[self.upper[exact]], owner[self.lower[exact]]]), pull.shape[1])
-        values, size = np.concatenate([pull, -pull]).ravel(), int(owner.max()) + 1
-        total, sizes, terms = (np.bincount(of, v, size) for v in (values, np.abs(values), np.ones_like(values)))
-        # A sum in doubles is off by less than its terms times EPS times the sum of their sizes, so that most labels
-        # need no exact sum.
-        found: np.ndarray = np.abs(total) <= terms * EPS * sizes
-        for label in np.flatnonzero(found & (terms > 0)).tolist():
-            found[label] = math.fsum(values[of == label].tolist()) == 0.0
-        return found
 
 
 @dataclass(frozen=True)
@@ -414,40 +274,63 @@ def tied_states(motion: Motion, contacts: Slipping) -> tuple[np.ndarray, bool | 
     UNDECIDED; and True if there is only one minimum, False if there are more, None if that is not known."""
     if len(motion.network.needed) != 2:  # three, where spheres are driven inside a packing
         return None
-    saturated, coefficient = Saturated.of(motion), motion.network.exact_limits
-    if saturated is None or coefficient is None or motion.torn.any() or not (contacts.size.least > 0).all():
+    coefficient = motion.network.exact_limits
+    if coefficient is None or motion.torn.any() or not (contacts.size.least > 0).all():
         return None
+    for missed in MISSED_LIMITS:
+        saturated: Saturated | None = Saturated.of(motion, missed)
+        while saturated is not None:
+            pulls = _pulls(motion, contacts, saturated, coefficient)
+            limits = ObliqueLimits.of(pulls)
+            wrong = pulls.driven if limits is None else not_balanced(pulls, limits.between)
+            if limits is not None and not wrong.any():
+                found = _tied_states(motion, contacts, saturated, pulls, limits)
+                if found is not None:
+                    return found
+            saturated = None if limits is None else saturated.without(wrong)
+    return None
+
+
+def _tied_states(
+    motion: Motion, contacts: Slipping, saturated: Saturated, pulls: Pulls, limits: ObliqueLimits
+) -> tuple[np.ndarray, bool | None] | None:
+    """Prove the states of all E contacts of one sample, as :func:`tied_states` does, with given saturated contacts.
+
+    motion : the stored spins of the sample and which contacts rest.
+    contacts : those that slip.
+    saturated : those that rest and are taken to bear all their friction. On all firm domains the friction balances.
+    pulls : both together.
+    limits : the friction of those of them that bear it along both components."""
     # Hold one slipless domain of each welded domain, for one minimum; and one locked domain, to exclude other motions.
-    firm = saturated.motion_of(motion, None)
-    pulls = _pulls(motion, firm, contacts, saturated, coefficient)
-    between = BetweenTwo.of(pulls, contacts)
+    between, movable = BetweenTwo.of(pulls, contacts), Movable.of(pulls, limits, contacts)
     held = _spheres_to_hold(pulls, pulls.slipless_domain, pulls.welded_slipless, between)
-    held_locked = _spheres_to_hold(pulls, pulls.locked_domain, pulls.welded_locked, between)
+    held_locked = _spheres_to_hold(pulls, pulls.locked_domain, pulls.welded_locked, between, movable)
     if held is None or held_locked is None or not (held.any() or not pulls.in_s.all()):
         return None
     # The minimum with these held; then the curvature that excludes other motions; then what shortest paths say.
-    near = _minimum_with_held(motion, firm, pulls, between, held, saturated)
+    near = _minimum_with_held(motion, pulls, between, held, saturated, limits)
     if near is None:
         return None
     found, relative_change = near
     if not pulls.in_s.all():
-        of_locked = Slipping.of(motion, _labels_of_moving(motion, pulls.locked_domain, held_locked))
-        if not rises(replace(of_locked, difference=found.difference), relative_change):
+        undecided = _undecided(pulls, between, movable, near)
+        if undecided is None or not rises(*_with_oblique(motion, pulls, limits, held_locked, near)):
             return None
+        between = replace(between, undecided=undecided)
     return _states_by_paths(pulls, between, found, relative_change, bool(held_locked.any()), len(motion.rests))
 
 
 @dataclass(frozen=True)
 class Saturated:
     """The saturated contacts of one sample: they do not slip in the stored spins, yet bear all their friction mu F_n,
-    along one spin component.
+    most of them along one spin component.
 
     Two spin components make contacts slip in such a sample; their numbers are `network.needed`, and `slot` 0 or 1 says
     which of the two is meant.
 
     network : the sample, with E contacts.
     mask : (E,), which contacts these are.
-    along : (E,), the slot (0 or 1) of the component along which each of them bears its friction; no meaning for others.
+    along : (2, E) mask, for either component those of them that bear friction along it.
     """
 
     network: JudgedNetwork
@@ -455,58 +338,77 @@ class Saturated:
     along: np.ndarray
 
     @classmethod
-    def of(cls, motion: Motion) -> Saturated | None:
-        """Return the resting contacts of a motion that bear nearly all their friction, at least the share 1 -
-        MISSED_LIMIT of mu F_n, each with the component along which it bears more. Return None if at one of these
-        contacts both components of the friction exceed MISSED_DIRECTION times the limit: then it is not clear in which
-        direction it would begin to slip.
+    def of(cls, motion: Motion, missed: float) -> Saturated:
+        """Return the resting contacts of a motion that bear nearly all their friction, each with the component along
+        which it bears more, or with both components.
 
         motion : stored spins of one sample, with the contacts that rest and the friction of all.
+        missed : the largest share of mu F_n that such a contact does not bear.
         """
         network, strength = motion.network, motion.network.holding.value
         parts = np.abs([network.moment[k].high for k in network.needed])
-        mask = motion.rests & (np.hypot(*parts) >= (1 - MISSED_LIMIT) * strength) & network.counts
-        if (parts.min(axis=0)[mask] > MISSED_DIRECTION * strength[mask]).any():
-            return None
-        return cls(network, mask, np.argmax(parts, axis=0))
+        mask = motion.rests & (np.hypot(*parts) >= (1 - missed) * strength) & network.counts
+        return cls(
+            network, mask, mask & ((parts == parts.max(axis=0)) | (parts > (MISSED_ACROSS * missed) ** 0.5 * strength))
+        )
+
+    @property
+    def oblique(self) -> np.ndarray:
+        """(E,) mask of the saturated contacts that bear friction along both components."""
+        found: np.ndarray = self.along.all(axis=0)
+        return found
+
+    def without(self, wrong: np.ndarray) -> Saturated | None:
+        """Return these contacts without those that would have to be saturated for friction to balance, and may well not
+        be: they miss more than SURELY_FULL of their friction. Return None if there are none of these.
+
+        wrong : (2, spheres) mask, by component, of spheres on which the friction does not balance if they are."""
+        strength, first, second = self.network.holding.value, *self.network.graph.contact
+        parts = [self.network.moment[k].high for k in self.network.needed]
+        at = [self.along[slot] & (wrong[slot, first] | wrong[slot, second]) for slot in range(2)]
+        leave = (at[0] | at[1]) & (np.hypot(*parts) < (1 - SURELY_FULL) * strength)
+        return Saturated(self.network, self.mask & ~leave, self.along & ~leave) if leave.any() else None
 
     def friction(self, slot: int) -> Enclosure:
         """Return an enclosure (n,), for each of n saturated contacts the moment n x F, in units of force, that it has
         to exert along component `slot` (0 or 1). That is mu F_n with the sign of the stored moment, or 0 if the contact
-        bears its friction along the other component."""
+        bears its friction along the other component. It has no meaning for oblique contacts but its sign."""
         own = np.flatnonzero(self.mask)
         sign = np.sign(self.network.moment[self.network.needed[slot]].high[own])
-        return self.network.holding.at(own).signed(sign * (self.along[own] == slot))
+        return self.network.holding.at(own).signed(sign * self.along[slot, own])
 
     def motion_of(self, motion: Motion, slot: int | None) -> Motion:
         """Return `motion` with saturated contacts no longer taken to rest.
 
-        slot : 0 or 1 for those saturated contacts only that bear their friction along this component; None for all.
+        slot : 0 or 1 for those saturated contacts only that bear friction along this component; None for all.
         """
-        moves = self.mask if slot is None else self.mask & (self.along == slot)
+        moves = self.mask if slot is None else self.along[slot]
         return Motion(self.network, motion.rests & ~moves) if moves.any() else motion
 
-    def missing_friction(self) -> dict[int, np.ndarray]:
+    def missing_friction(self, of_oblique: np.ndarray) -> dict[int, np.ndarray]:
         """Return by spin component k that matters, as a dictionary, a bound (spheres,) on an error of the torque over
-        radius on each sphere, in units of force. A saturated contact should exert exactly mu F_n along one component.
-        Its stored moment differs a little from that; the bound is the sum of the sizes of these differences over the
-        contacts of a sphere."""
+        radius on each sphere, in units of force. A saturated contact should exert exactly mu F_n along one component,
+        or what is known of an oblique one. Its stored moment differs a little from that; the bound is the sum of the
+        sizes of these differences over the contacts of a sphere.
+
+        of_oblique : (2, E), bounds on the differences of oblique contacts."""
         own, network = np.flatnonzero(self.mask), self.network
         found = {k: np.zeros(len(network.free)) for k in network.needed}
         for slot, k in enumerate(network.needed):
-            missing = self.friction(slot).plus(-network.moment[k].high[own]).most
+            missing = np.where(
+                self.oblique[own], of_oblique[slot, own], (self.friction(slot) - network.moment[k].at(own)).most
+            )
             missing[~network.feels[k][own]] = 0.0
             for end in network.graph.contact[:, own]:
                 found[k] += np.bincount(end, missing, len(found[k]))
         return found
 
 
-def _pulls(motion: Motion, firm: Motion, contacts: Slipping, saturated: Saturated, coefficient: np.ndarray) -> Pulls:
+def _pulls(motion: Motion, contacts: Slipping, saturated: Saturated, coefficient: np.ndarray) -> Pulls:
     """Return the contacts of one sample that bear all their friction, and the domains (groups of spheres that turn as
     one) that these and the resting contacts make.
 
     motion : the sample, and which of its contacts rest.
-    firm : the same, in which saturated contacts are not taken to rest.
     contacts : those that slip.
     saturated : those that do not slip and yet bear all their friction.
     coefficient : (E, p), friction limits of all E contacts, in exact proportions, as sums of p doubles."""
@@ -521,14 +423,14 @@ def _pulls(motion: Motion, firm: Motion, contacts: Slipping, saturated: Saturate
         np.array([_numbered(own, k) for own, k in zip(motions, network.needed, strict=True)])
         for motions in (
             [motion] * components,
-            [firm] * components,
+            [saturated.motion_of(motion, None)] * components,
             [saturated.motion_of(motion, slot) for slot in range(components)],
         )
     )
     return Pulls(
         own, lower, upper, np.array([network.feels[k][own] for k in network.needed]),
         np.concatenate([signs, signs_of_c], axis=1), coefficient[own], np.arange(len(own)) < len(contacts.own),
-        slipless_domain, firm_domain, locked_domain, ~network.free,
+        saturated.oblique[own], slipless_domain, firm_domain, locked_domain, ~network.free,
     )  # fmt: skip
 
 
@@ -550,7 +452,7 @@ def _numbered(motion: Motion, k: int) -> np.ndarray:
 
 
 def _spheres_to_hold(
-    pulls: Pulls, label: np.ndarray, welded_domain: np.ndarray, between: BetweenTwo
+    pulls: Pulls, label: np.ndarray, welded_domain: np.ndarray, between: BetweenTwo, movable: Movable | None = None
 ) -> np.ndarray | None:
     """Choose spheres to be held where they are, so that only one minimum is left: the mask (2, spheres) of them for
     either spin component; None if that cannot be done.
@@ -558,19 +460,23 @@ def _spheres_to_hold(
     A *domain* is a group of spheres that turn as one; a *welded domain* consists of domains that can only move
     together. Two kinds of groups can move at no cost, and are held:
 
-    * Of each welded domain without a driven sphere one domain is held. It must not be one of `between`; if all are, the
-      result is None.
-    * Each domain of `between` is held in one component, which `between` chooses.
+    * Of each welded domain without a driven sphere one domain is held. It must not be one of `between` or `movable`; if
+      all are, the result is None.
+    * Each domain of `between` and each pair of `movable` is held in one component, which these choose.
 
     pulls : the contacts that bear all their friction.
     label : (2, spheres), for either component the label of the domain of each sphere.
     welded_domain : (2, spheres), the number of its welded domain: 0 for those that contain a driven sphere, then 1, 2,
         ...
     between : domains that two neighbours pull with the same friction, so that they can move on the line between them.
+    movable : pairs of locked domains that can move along a line, if `label` has locked domains.
     """
     held = np.zeros(label.shape, dtype=bool)
     for slot in range(2):
         welded, inner = welded_domain[slot], np.isin(pulls.slipless_domain[slot], between.labels[slot])
+        if movable is not None:
+            inner |= np.isin(label[slot], movable.labels[slot])
+            held[slot] |= np.isin(label[slot], movable.labels[slot][movable.slot == slot])
         for number in range(1, int(welded.max()) + 1):
             some = label[slot][(welded == number) & ~inner]
             if not len(some):
@@ -593,11 +499,11 @@ def _labels_of_moving(motion: Motion, label: np.ndarray, held: np.ndarray) -> di
 
 def _minimum_with_held(
     motion: Motion,
-    firm: Motion,
     pulls: Pulls,
     between: BetweenTwo,
     held: np.ndarray,
     saturated: Saturated,
+    limits: ObliqueLimits,
 ) -> tuple[Slipping, np.ndarray] | None:
     """Prove two things: near the stored spins there is one minimum if some domains (groups of spheres that turn as one)
     are held where they are; and it is a minimum without holding them, too. For the latter, known forces have to cancel
@@ -607,11 +513,11 @@ def _minimum_with_held(
     on |slip there - slip| / |slip|.
 
     motion : the stored spins of one sample, and which contacts rest.
-    firm : the same, in which saturated contacts are not taken to rest.
     pulls : the contacts that bear all their friction.
     between : domains that two neighbours pull with the same friction.
     held : (2, spheres) mask of the spheres whose domain is held, for either component.
-    saturated : contacts without slip that bear all their friction."""
+    saturated : contacts without slip that bear all their friction.
+    limits : the friction of those of them that bear it along both components."""
     near = nearest_minimum(Slipping.of(motion, _labels_of_moving(motion, pulls.slipless_domain, held)))
     if near is None:
         return None
@@ -620,42 +526,60 @@ def _minimum_with_held(
     known = pulls.felt & ~pulls.turned_by & pulls.in_s
     signs = np.array([np.sign(part.high) for part in found.difference])
     same = (signs == pulls.sign[:, : len(relative_change)]) | ~known[:, : len(relative_change)]
-    known_well = same.all() and _known_pulls_cancel(pulls) and between.lie_between(pulls, found, relative_change)
-    return near if known_well and bearable(firm, found, relative_change, saturated.missing_friction()) else None
+    # No other force could balance the known pulls on welded domains without a driven sphere, which have labels above 0.
+    cancel = all(pulls.known_pulls_cancel_at(pulls.welded_slipless[slot], slot)[1:].all() for slot in range(2))
+    if not (same.all() and cancel and between.lie_between(pulls, found, relative_change)):
+        return None
+    firm = saturated.motion_of(motion, None)
+    missing = saturated.missing_friction(limits.missed(motion.network, pulls, found, relative_change))
+    return near if bearable(firm, found, relative_change, missing) else None
 
 
-def _known_pulls_cancel(pulls: Pulls) -> bool:
-    """Return True if the exactly known forces add up to 0 wherever no other force could balance them. Exactly known are
-    the forces of contacts that bear all their friction in a direction that cannot turn.
+def _with_oblique(
+    motion: Motion, pulls: Pulls, limits: ObliqueLimits, held: np.ndarray, near: tuple[Slipping, np.ndarray]
+) -> tuple[Slipping, np.ndarray]:
+    """Return the contacts whose slip may not turn from one minimum to another, with slips of the right directions, and
+    for each a bound on the relative change of its slip up to the minimum. These are the slipping contacts, and the
+    oblique ones with the slip of the contact that says what their friction is. The unknowns are locked domains.
 
-    This is asked of two kinds of groups of spheres:
-    * welded domains without a driven sphere: groups that move together from one minimum to another;
-    * firm domains without a driven sphere: spheres that resting contacts with friction left join. One is excepted in
-      each slipless domain (spheres that all contacts without slip join): the one, if any, on which contacts act that
-      may turn their slip. It is in balance once the whole slipless domain and its other firm domains are.
+    motion : the stored spins of one sample, and which contacts rest.
+    pulls : the contacts that bear all their friction, among them oblique ones, which rest and bear it along both
+        components.
+    limits : the directions of the friction of the latter.
+    held : (2, spheres) mask of the spheres whose domain is held, for either component.
+    near : the slipping contacts close to the minimum, and for each the bound."""
+    found, relative_change = near
+    rests, some = motion.rests.copy(), np.flatnonzero(pulls.in_s | pulls.oblique)
+    rests[pulls.own[pulls.oblique]] = False
+    moving = Motion(motion.network, rests) if pulls.oblique.any() else motion
+    whole = Slipping.of(moving, _labels_of_moving(motion, pulls.locked_domain, held))
+    some = some[np.argsort(pulls.own[some])]  # the order of the contacts in `whole`
+    guide, way = limits.guide[some], limits.way[some]
+    first, second = (part.at(guide).signed(way) for part in found.difference)
+    return replace(whole, difference=(first, second)), relative_change[guide]
 
-    pulls : the contacts that bear all their friction, and the domains that they and resting contacts make.
+
+def _undecided(
+    pulls: Pulls, between: BetweenTwo, movable: Movable, near: tuple[Slipping, np.ndarray]
+) -> np.ndarray | None:
+    """Return the mask (n,) of the contacts whose slips change by motions along lines, so that their states are not
+    proven here; None if the direction of such a line is not known well enough.
+
+    pulls : the n contacts that bear all their friction.
+    between, movable : what can move along lines.
+    near : the slipping contacts close to the minimum, and for each a bound on |slip at the minimum - slip| / |slip|.
     """
-    # For both components: welded domains; which firm domains are pulled by turning contacts; all other firm domains.
-    for slot in range(2):
-        if not pulls.known_pulls_cancel_at(pulls.welded_slipless[slot], slot)[1:].all():
-            return False
-        firm, slipless = pulls.firm_domain[slot], pulls.slipless_domain[slot]
-        turning = pulls.in_s & pulls.turned_by[slot] & pulls.apart(pulls.slipless_domain, slot)
-        ends = np.concatenate([pulls.lower[turning], pulls.upper[turning]])
-        pulled = np.unique(np.array([firm[ends], slipless[ends]]), axis=1)
-        imposed = pulls.imposed_labels(pulls.firm_domain, slot)
-        pulled = pulled[:, pulled[0] >= imposed]
-        # The slipless domain of none of these may have a driven sphere, and none may have two of them.
-        if (pulled[1] < pulls.imposed_labels(pulls.slipless_domain, slot)).any() or len(
-            np.unique(pulled[1])
-        ) < pulled.shape[1]:
-            return False
-        cancels = pulls.known_pulls_cancel_at(firm, slot)
-        cancels[pulled[0]] = True
-        if not cancels[imposed:].all():
-            return False
-    return True
+    signs, undecided = movable.signs(*near), between.undecided.copy()
+    if not signs[movable.slot, np.arange(len(movable.slot))].all():
+        return None
+    excluded = np.array([np.isin(pulls.slipless_domain[slot], between.labels[slot]) for slot in range(2)])
+    blocked = movable.blocked(pulls, signs, excluded)
+    for number in np.flatnonzero(~blocked).tolist():
+        undecided[movable.pairs[number].contacts] = True
+        for slot, own in enumerate(movable.labels[:, number].tolist()):
+            changes = pulls.felt[slot] & ~pulls.turned_by[slot]
+            undecided |= changes & pulls.touches(pulls.locked_domain[slot], own)
+    return undecided
 
 
 def _states_by_paths(
