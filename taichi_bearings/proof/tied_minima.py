@@ -69,7 +69,6 @@ are tied.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -77,8 +76,9 @@ from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
 from taichi_bearings.numerics.graphs import pieces
+from taichi_bearings.proof.between_two import BetweenTwo
 from taichi_bearings.proof.curvature import Slipping, bearable, nearest_minimum, rises
-from taichi_bearings.proof.enclosure import UP, Enclosure
+from taichi_bearings.proof.enclosure import Enclosure
 from taichi_bearings.proof.judged_network import JudgedNetwork, Motion
 from taichi_bearings.proof.oblique_limits import Movable, ObliqueLimits, not_balanced
 from taichi_bearings.proof.pulls import EPS, Pulls
@@ -177,90 +177,6 @@ def _graph_of_shortest(tail: np.ndarray, head: np.ndarray, length: np.ndarray, s
     kept = order[first]
     begin = np.searchsorted(tail[kept], np.arange(size + 1))
     return sparse.csr_array((length[kept], head[kept].astype(np.int32), begin.astype(np.int32)), shape=(size, size))
-
-
-@dataclass(frozen=True)
-class BetweenTwo:
-    """The m domains (groups of spheres that turn as one) that lie between two others. Only two sets of contacts pull
-    such a domain, one towards either neighbour, with the same total friction. So it can move along the line between
-    both at no cost.
-
-    labels : (2, m), their labels in `Pulls.slipless_domain`, for both spin components.
-    slot : (m,), the component (0 or 1) in which each is held where it is, so that one minimum is left.
-    sets : m arrays with the contacts of both sets, as indices in the arrays of :class:`Pulls`.
-    undecided : (n,) mask of the contacts of `Pulls` of which no state is proven: those in `sets`, and those at such a
-        domain that slip along one component alone, as their slips change when it moves."""
-
-    labels: np.ndarray
-    slot: np.ndarray
-    sets: list[np.ndarray]
-    undecided: np.ndarray
-
-    @classmethod
-    def of(cls, pulls: Pulls, contacts: Slipping) -> BetweenTwo:
-        """Return the domains (groups of spheres that turn as one) that lie between two others which pull them with the
-        same friction in opposite directions.
-
-        pulls : the n contacts that bear all their friction.
-        contacts : slips of those of them that slip."""
-        label = pulls.same_in_both  # of each sphere: its domain in both components at once
-        known = [pulls.known_pulls_cancel_at(pulls.slipless_domain[slot], slot) for slot in range(2)]
-        # contacts that slip in both components, between two domains in either
-        spans = pulls.in_s & pulls.turned_by.all(axis=0)
-        spans &= pulls.apart(pulls.slipless_domain, 0) & pulls.apart(pulls.slipless_domain, 1)
-        # domains that such contacts join to two others
-        ends = label[np.stack([pulls.lower[spans], pulls.upper[spans]])]
-        pairs = np.unique(np.concatenate([ends, ends[::-1]], axis=1), axis=1)
-        inner = np.bincount(pairs[0], minlength=int(label.max()) + 1) == 2
-        labels, slots, sets, undecided = [], [], [], np.zeros(len(spans), dtype=bool)
-        for sphere in np.unique(label, return_index=True)[1][inner]:
-            own = [int(pulls.slipless_domain[slot, sphere]) for slot in range(2)]
-            # The same turning contacts must pull the domain in both components, and nothing may drive it.
-            driven = [of < pulls.imposed_labels(pulls.slipless_domain, slot) for slot, of in enumerate(own)]
-            chosen, others = (np.flatnonzero(pulls.turned_at(own[slot], slot)) for slot in range(2))
-            if any(driven) or not np.array_equal(chosen, others):
-                continue
-            up = label[pulls.upper[chosen]] == label[sphere]
-            mine = up | (label[pulls.lower[chosen]] == label[sphere])
-            other = label[np.where(up, pulls.lower[chosen], pulls.upper[chosen])]
-            # They must lead to just two other domains, and slip in both components.
-            sides = np.unique(other)
-            if not (spans[chosen].all() and mine.all() and len(sides) == 2):
-                continue
-            # Both sets must have the same friction in all, exactly, and all other pulls on the domain must cancel.
-            weight = np.where(other == sides[0], 1.0, -1.0)[:, None] * pulls.coefficient[chosen]
-            if math.fsum(weight.ravel().tolist()) != 0.0 or not all(
-                cancels[domain] for cancels, domain in zip(known, own, strict=True)
-            ):
-                continue
-            parts = [part.at(chosen) for part in contacts.difference]
-            slot = int(np.median(parts[1].most) > np.median(parts[0].most))
-            # The domain must lie between both: along the longer component it slips ahead of the one, behind the other.
-            ahead = np.sign(parts[slot].high) * np.where(up, 1, -1) * np.where(other == sides[0], 1, -1)
-            if len(np.unique(ahead)) != 1:
-                continue
-            labels.append(own)
-            slots.append(slot)
-            sets.append(chosen)
-            undecided[chosen] = True
-            for s in range(2):
-                undecided |= pulls.felt[s] & ~pulls.turned_by[s] & pulls.touches(pulls.slipless_domain[s], own[s])
-        return cls(np.array(labels, dtype=int).reshape(-1, 2).T, np.array(slots, dtype=int), sets, undecided)
-
-    def lie_between(self, pulls: Pulls, contacts: Slipping, relative_change: np.ndarray) -> bool:
-        """Return True if each of these domains (groups of spheres that turn as one) is proven to lie between its two
-        neighbours at the minimum as well. It does so in the stored spins. The proof is that, along the component in
-        which the domain is held, none of its slips changes its sign from there to the minimum.
-
-        pulls : the contacts that bear all their friction, with the signs of the slips in the stored spins.
-        contacts : the slipping contacts at spins close to the minimum.
-        relative_change : (slipping contacts,), bound on |slip at the minimum - slip| / |slip|.
-        """
-        for own, slot in zip(self.sets, self.slot, strict=True):
-            slip, change = contacts.difference[slot].at(own), relative_change[own] * contacts.size.at(own).most * UP
-            if not ((np.sign(slip.high) == pulls.sign[slot, own]) & (slip.least > change)).all():
-                return False
-        return True
 
 
 def tied_states(motion: Motion, contacts: Slipping) -> tuple[np.ndarray, bool | None] | None:
@@ -462,13 +378,14 @@ def _spheres_to_hold(
 
     * Of each welded domain without a driven sphere one domain is held. It must not be one of `between` or `movable`; if
       all are, the result is None.
-    * Each domain of `between` and each pair of `movable` is held in one component, which these choose.
+    * Of the domains of `between` those are held that it chooses, each pair of `movable` in the component that this
+      chooses.
 
     pulls : the contacts that bear all their friction.
     label : (2, spheres), for either component the label of the domain of each sphere.
     welded_domain : (2, spheres), the number of its welded domain: 0 for those that contain a driven sphere, then 1, 2,
         ...
-    between : domains that two neighbours pull with the same friction, so that they can move on the line between them.
+    between : domains that move on lines between two neighbours, which pull them with the same friction.
     movable : pairs of locked domains that can move along a line, if `label` has locked domains.
     """
     held = np.zeros(label.shape, dtype=bool)
@@ -482,7 +399,7 @@ def _spheres_to_hold(
             if not len(some):
                 return None
             held[slot] |= label[slot] == some[0]
-        for domain in between.labels[slot][between.slot == slot]:
+        for domain in between.held[slot]:
             held[slot] |= label[slot] == label[slot][pulls.slipless_domain[slot] == domain][0]
     return held
 

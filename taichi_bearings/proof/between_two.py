@@ -1,0 +1,224 @@
+"""Domains that can move on the line between two others without a change of the power: a part of theorem 9.
+
+What is proven. Two sets of contacts, which slip in both components, pull a sphere with the same friction in opposite
+directions. If it moves along this line, what one set loses the other one gains. Such a sphere is a *link* here, and
+moves with all that contacts without slip join to it: a slipless domain in the first component, and another one in the
+second. Each of these may have further links, which have to move along their own lines then, and so on. This file finds
+all domains that move together in that way. (tied_minima.py has the other words.)
+
+Drawing. Two links, spheres 1 and 2, are joined in the first component alone. Each lies between two other spheres,
+which are driven::
+
+    driven                 driven
+       \\                    /
+        1 ------ T ------- 2            1 and 2 move by the same number in the first component, and by others in the
+         \\                /             second one, such that each moves along its line
+        driven         driven
+
+Symbols
+    node : a slipless domain of one component, without a driven sphere. v : unit vector along the slips of one set of a
+        link, with the sign with which they pull; v' : that of the other set. w : the friction of either set.
+
+The proof. Let all turning contacts at some nodes be those of links, and let links connect these nodes to a tree. Let
+all exactly known pulls on each node cancel. One node, the root, is held; all others are in balance at the minimum u*.
+1. A node with one link is pulled by w (v + v') along its component. That is 0, so v and v' are opposite along it. As
+   both are unit vectors, they are opposite or alike along the other component; signs say that they are opposite there.
+   So v' = -v, and the link pulls on no node at all. The same follows for one link after the other, towards the root.
+2. So the root is in balance, too, though it is held.
+3. Each link can move along its line: no slip of its contacts turns. In a tree the motion of one node says those of all
+   others. So the motions of such a tree are the multiples of one, and with the root held there is none.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from taichi_bearings.proof.curvature import Slipping
+from taichi_bearings.proof.enclosure import UP
+from taichi_bearings.proof.pulls import Pulls
+
+Node = tuple[int, int]  # a component of the spins (0 or 1), and the label of a slipless domain in it
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """A group of spheres that turn as one in both components, between two others that pull it with the same friction.
+
+    nodes : the slipless domain of the group in either component.
+    contacts : (q,), the contacts of both sets, as indices in the arrays of :class:`Pulls`.
+    opposite : for either component True if the contacts of one set slip ahead along it, and those of the other behind,
+        in the stored spins.
+    size : for either component the median of the slips of the contacts along it, in the stored spins."""
+
+    nodes: tuple[Node, Node]
+    contacts: np.ndarray
+    opposite: tuple[bool, bool]
+    size: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class BetweenTwo:
+    """The domains (groups of spheres that turn as one) that can move along lines between others, in m links.
+
+    labels : for either component their labels in `Pulls.slipless_domain`.
+    held : for either component those of them that are held where they are, so that one minimum is left.
+    slot : (m,), for each link the component (0 or 1) along which its slips must not change their signs.
+    sets : m arrays with the contacts of the links, as indices in the arrays of :class:`Pulls`.
+    undecided : (n,) mask of the contacts of `Pulls` of which no state is proven: those in `sets`, and those at such a
+        domain that slip along one component alone, as their slips change when it moves."""
+
+    labels: tuple[np.ndarray, np.ndarray]
+    held: tuple[np.ndarray, np.ndarray]
+    slot: np.ndarray
+    sets: list[np.ndarray]
+    undecided: np.ndarray
+
+    @classmethod
+    def of(cls, pulls: Pulls, contacts: Slipping) -> BetweenTwo:
+        """Return the domains (groups of spheres that turn as one) that lie between others which pull them with the same
+        friction in opposite directions.
+
+        pulls : the n contacts that bear all their friction.
+        contacts : slips of those of them that slip."""
+        links = _closed(pulls, _links(pulls, contacts))
+        held: tuple[list[int], list[int]] = ([], [])
+        labels: tuple[list[int], list[int]] = ([], [])
+        slots, sets, undecided = [], [], np.zeros(len(pulls.own), dtype=bool)
+        for tree in _trees(links):
+            root = _farthest(tree)
+            ways = _ways(tree, root)
+            if not all(link.opposite[slot] for link, slot in ways):
+                continue
+            held[root[0]].append(root[1])
+            for link, slot in ways:
+                slots.append(slot)
+                sets.append(link.contacts)
+                undecided[link.contacts] = True
+            for slot, label in dict.fromkeys(node for link in tree for node in link.nodes):
+                labels[slot].append(label)
+                changes = pulls.felt[slot] & ~pulls.turned_by[slot]
+                undecided |= changes & pulls.touches(pulls.slipless_domain[slot], label)
+        return cls(_arrays(labels), _arrays(held), np.array(slots, dtype=int), sets, undecided)
+
+    def lie_between(self, pulls: Pulls, contacts: Slipping, relative_change: np.ndarray) -> bool:
+        """Return True if each of these domains (groups of spheres that turn as one) is proven to lie between its two
+        neighbours at the minimum as well. It does so in the stored spins. The proof is that, along the component in
+        which the domain is held, none of its slips changes its sign from there to the minimum.
+
+        pulls : the contacts that bear all their friction, with the signs of the slips in the stored spins.
+        contacts : the slipping contacts at spins close to the minimum.
+        relative_change : (slipping contacts,), bound on |slip at the minimum - slip| / |slip|.
+        """
+        for own, slot in zip(self.sets, self.slot, strict=True):
+            slip, change = contacts.difference[slot].at(own), relative_change[own] * contacts.size.at(own).most * UP
+            if not ((np.sign(slip.high) == pulls.sign[slot, own]) & (slip.least > change)).all():
+                return False
+        return True
+
+
+def _arrays(lists: tuple[list[int], list[int]]) -> tuple[np.ndarray, np.ndarray]:
+    """Return two lists of whole numbers as arrays."""
+    return np.array(lists[0], dtype=int), np.array(lists[1], dtype=int)
+
+
+def _links(pulls: Pulls, contacts: Slipping) -> list[Link]:
+    """Return all links: groups of spheres without a driven one that turn as one in both components, and that contacts
+    which slip in both connect with just two others, with the same friction in all.
+
+    pulls : the contacts that bear all their friction.
+    contacts : slips of those of them that slip."""
+    label, found = pulls.same_in_both, []
+    # contacts that slip in both components, between two domains in either
+    spans = pulls.in_s & pulls.turned_by.all(axis=0)
+    spans &= pulls.apart(pulls.slipless_domain, 0) & pulls.apart(pulls.slipless_domain, 1)
+    # groups that such contacts join to two others
+    ends = label[np.stack([pulls.lower[spans], pulls.upper[spans]])]
+    pairs = np.unique(np.concatenate([ends, ends[::-1]], axis=1), axis=1)
+    inner = np.bincount(pairs[0], minlength=int(label.max()) + 1) == 2
+    for sphere in np.unique(label, return_index=True)[1][inner]:
+        first, second = (int(pulls.slipless_domain[slot, sphere]) for slot in range(2))
+        chosen = np.flatnonzero(spans & pulls.crossing(label, label[sphere]))
+        up = label[pulls.upper[chosen]] == label[sphere]
+        other = label[np.where(up, pulls.lower[chosen], pulls.upper[chosen])]
+        # both sets must have the same friction in all, exactly
+        way = np.where(other == other[0], 1.0, -1.0)
+        if math.fsum((way[:, None] * pulls.coefficient[chosen]).ravel().tolist()) == 0.0:
+            parts = [part.at(chosen) for part in contacts.difference]
+            ahead = [np.unique(np.sign(part.high) * np.where(up, 1, -1) * way) for part in parts]
+            sizes = [float(np.median(part.most)) for part in parts]
+            opposite = len(ahead[0]) == 1, len(ahead[1]) == 1
+            found.append(Link(((0, first), (1, second)), chosen, opposite, (sizes[0], sizes[1])))
+    return found
+
+
+def _closed(pulls: Pulls, links: list[Link]) -> list[Link]:
+    """Return those links both of whose nodes are pulled by links alone: all turning contacts at a node are those of
+    such links, all other pulls on it cancel exactly, and it contains no driven sphere.
+
+    pulls : the contacts that bear all their friction.
+    links : candidates."""
+    known = [pulls.known_pulls_cancel_at(pulls.slipless_domain[slot], slot) for slot in range(2)]
+    imposed = [pulls.imposed_labels(pulls.slipless_domain, slot) for slot in range(2)]
+    turning = {
+        (slot, label): set(np.flatnonzero(pulls.turned_at(label, slot)).tolist())
+        for slot, label in {node for link in links for node in link.nodes}
+        if label >= imposed[slot] and known[slot][label]
+    }
+    while True:
+        at: dict[Node, set[int]] = {node: set() for node in turning}
+        for link in links:
+            for node in link.nodes:
+                at.setdefault(node, set()).update(link.contacts.tolist())
+        closed = [link for link in links if all(at[node] == turning.get(node) for node in link.nodes)]
+        if len(closed) == len(links):
+            return closed
+        links = closed
+
+
+def _trees(links: list[Link]) -> list[list[Link]]:
+    """Return the trees that links make which connect nodes, each as a list of its links in an order in which every link
+    but the first shares a node with one before it. What has a loop is left out.
+
+    links : the links."""
+    found, left = [], links
+    while left:
+        nodes, tree = set(left[0].nodes), [left[0]]
+        left = left[1:]
+        while more := [link for link in left if nodes.intersection(link.nodes)]:
+            tree += more
+            nodes.update(node for link in more for node in link.nodes)
+            left = [link for link in left if link not in more]
+        if len(nodes) == len(tree) + 1:
+            found.append(tree)
+    return found
+
+
+def _farthest(tree: list[Link]) -> Node:
+    """Return the node of a tree that moves farthest if its links move along their lines.
+
+    tree : its links, every one but the first shares a node with one before it."""
+    moves = {tree[0].nodes[0]: 1.0}
+    for link in tree:
+        known = next(slot for slot in range(2) if link.nodes[slot] in moves)
+        moves[link.nodes[1 - known]] = moves[link.nodes[known]] * link.size[1 - known] / link.size[known]
+    return max(moves, key=lambda node: moves[node])
+
+
+def _ways(tree: list[Link], root: Node) -> list[tuple[Link, int]]:
+    """Return each link of a tree with the component (0 or 1) of that of its two nodes which is nearer to the root.
+
+    tree : its links.
+    root : one of its nodes."""
+    reached, found, left = {root}, [], tree
+    while left:
+        for link in left:
+            near = [slot for slot in range(2) if link.nodes[slot] in reached]
+            if near:
+                found.append((link, near[0]))
+                reached.update(link.nodes)
+        done = [id(link) for link, _ in found]
+        left = [link for link in left if id(link) not in done]
+    return found
