@@ -51,7 +51,7 @@ The theorems
    at every minimum. [resting.py; loops.py and borne.py where loops beside them cannot roll as normals are rounded]
 9. Ties. Where frictions cancel exactly, spheres a and b can move by y_a and y_b at no cost, as long as no slip t
    between them turns backwards: t + y_b - y_a >= 0. Shortest paths say which slips are 0 at some minima but not at all:
-   such contacts are *tied*. [tied_minima.py]
+   such contacts are *tied*. [tied_minima.py, with pulls.py, between_two.py and oblique_limits.py]
 
 The entry point is Judgement(scene, spin, spin_rounding, friction) in judgement.py: it has the power, both bounds, their
 gap, and what is proven of the state of each contact at every minimum. certificate.py has theorem 1 in plain doubles

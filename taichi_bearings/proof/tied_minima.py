@@ -6,8 +6,9 @@ that matter, in which each component of a slip depends on one of them: lattices,
 axes.
 
 Symbols
-    S : the contacts that slip in the stored spins. C : those that do not slip and yet bear all their friction mu F_n,
-        along one component. T : all others.
+    S : the contacts that slip in the stored spins. C : those that do not slip and yet bear all their friction mu F_n.
+        T : all others. Contacts of C bear it along one component; those with friction along both are *oblique*
+        (oblique_limits.py).
     n : number of contacts of S and C together. E : of all contacts of the sample.
     u* : a minimum. t : slip of a contact at u*; 0 for C. y : a motion, from u* to another minimum.
     pull : the force of a contact on its spheres along one component.
@@ -19,11 +20,11 @@ sets of contacts make four kinds of domains:
         never begin to slip along it. From one minimum to another it moves as one.
     slipless domain : joined by T and C, so by all contacts that do not slip at u*.
     welded domain : slipless (or locked) domains that *turning* contacts join: contacts of S whose slip has the other
-        component, too.
+        component, too, and oblique ones.
 
 A turning contact turns its slip as soon as one of its ends moves alone in one component, and minima do not differ in
 the directions of slips. So from one minimum to another its ends move together, and a welded domain moves as a whole.
-The exception are motions along the slip itself (`BetweenTwo`).
+The exception are motions along the slip itself (between_two.py, and oblique_limits.py for oblique contacts).
 
 Drawing of the four kinds. Five spheres in a row, looked at in the first component::
 
@@ -36,23 +37,24 @@ The proof
 1. *What can move at no cost.* A welded domain without a driven sphere is pulled by its other contacts with their whole
    friction, one way or the other. If these pulls, added exactly, cancel, then the balance of all its members but one
    implies that of the last one: so one equation is redundant, and one member can be held without loss. The same is true
-   of a domain between two others that pull it with the same total friction in opposite directions (`BetweenTwo`): on
-   the line between them nothing changes. It is held in the component that is longer along this line; in the other
-   component it may move and finds its balance.
+   of domains between two others that pull them with the same total friction in opposite directions: on the line between
+   these nothing changes (between_two.py). One of those that move together is held in one component.
 2. *One minimum.* With these domains held there is one minimum u* nearby (curvature.py, `nearest_minimum`).
 3. *It is one of the whole power.* Friction that agrees with u* can be put in balance. Contacts of C bear exactly mu
-   F_n: then the pulls on each firm domain, added exactly, have to cancel. One firm domain of each free slipless domain
-   may be pulled by turning contacts, too, whose pull is not known exactly; it is in balance because the whole slipless
-   domain is, and all its other firm domains are. Contacts of T bear the rest, inside all discs (curvature.py,
-   `bearable`). So T rests at every minimum (theorem 4).
+   F_n along one component, and oblique ones exactly what balances one slip beside them. Then friction has to balance on
+   each firm domain. It does if all pulls on it are known and, added exactly, cancel. Pulls of contacts with friction
+   along both components are not known exactly; but they cancel on all firm domains together that these contacts
+   connect, and each free slipless domain is in balance as a whole (oblique_limits.py, `not_balanced`). Contacts of T
+   bear the rest, inside all discs (curvature.py, `bearable`). So T rests at every minimum (theorem 4).
 4. *All minima.* They share this friction. So each differs from u* by a motion that keeps T at rest, turns no slip of S,
    and lets C slip only along its friction, forward. But for the sign at C, two kinds of motions do so: of welded
-   domains (of locked ones) as a whole, and of a domain along the line between two others. There are no further ones.
-   For such motions can be subtracted until one locked domain of each welded one stands still, and each domain between
-   two others in its held component. What is left turns no slip of S either, so the power has no curvature along it; but
-   it is proven to have curvature along every motion with these domains held (curvature.py, `rises`). So nothing is
-   left. Contacts at which motions between two others act are left undecided. All others have the minima of motions y of
-   welded domains for which no contact of S and C slips backwards: t + y_upper - y_lower >= 0, with signs.
+   domains (of locked ones) as a whole, and of domains along the lines between two others. There are no further ones.
+   For such motions can be subtracted until one locked domain of each welded one stands still, and one of the domains
+   that move together along lines. What is left turns no slip of S and none that an oblique contact would begin with, so
+   the power has no curvature along it, with oblique contacts counted as if they slipped; but it is proven to have
+   curvature along every motion with these domains held (curvature.py, `rises`). So nothing is left. Contacts at which
+   motions along lines act are left undecided, unless it is proven that these do not move. All others have the minima of
+   motions y of welded domains for which no contact of S and C slips backwards: t + y_upper - y_lower >= 0, with signs.
 5. *States.* These are constraints of shortest paths. A contact is an edge of length t: from the welded domain at its
    upper end to that at its lower end, or the other way round if its slip is negative (tail and head in the code). A
    contact of S rests at some minimum if no other path from its tail to its head is shorter than t, and at none if one

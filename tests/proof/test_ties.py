@@ -8,8 +8,9 @@ from scipy.optimize import linprog
 from taichi_bearings_studies.stress import truth
 
 import taichi_bearings as tb
+from taichi_bearings.proof.between_two import BetweenTwo, Link, _farthest, _trees, _ways
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.proof.tied_minima import BetweenTwo, Constraints
+from taichi_bearings.proof.tied_minima import Constraints
 from taichi_bearings.quantities import numbers_of
 from taichi_bearings.runs.result import Result
 from taichi_bearings.runs.settings import RunSettings
@@ -58,10 +59,11 @@ def test_what_is_proven_is_what_contacts_are_called(shape, seed, expected):
 AT_LIMIT = 1e-18  # margin in the middle of the optimal forces below which a contact is at its limit
 
 
-@pytest.mark.parametrize(("distribution", "seed"), [*((BIMODAL, n) for n in (3, 20, 124)), ("constant:0.5", 3)])
+@pytest.mark.parametrize(("distribution", "seed"), [*((BIMODAL, n) for n in (3, 20, 92, 124)), ("constant:0.5", 3)])
 def test_states_are_those_of_an_oracle(distribution, seed):
     """Slipless, slipping or tied at all minima, in 140 digits; of seed 20 ties are left unproven, and of constant
-    friction. What is proven is true, and what is not is never called what it is not, but undecided."""
+    friction. Of seed 92 a contact rests at its limit with friction along both components. What is proven is true, and
+    what is not is never called what it is not, but undecided."""
     solution = minimum((3, 3, 3) if distribution != BIMODAL else (3, 3, 4), seed, distribution)
     least, state, proven = least_of_all(solution.scene), solution.state[0], solution.proven[0]
     true, margin = (solution.scene.lattice.flat(of) for of in (least.state, least.margin))
@@ -114,6 +116,29 @@ def test_nothing_is_said_of_ties_where_three_components_of_the_spins_matter():
     found = tb.solve(tb.Packing(**given | {"driven": driven, "spin": spin}))
     assert found.status == "certified"
     assert not (found.state[found.proven] == TIED).any()
+
+
+def oblique_at_limit(solution):
+    """(contacts,), which contacts rest and bear all their friction, along both components."""
+    friction, scene = np.abs(solution.friction[0]), solution.scene
+    limit = scene.lattice.flat(tuple(of[0] for of in scene.coefficients)) * scene.normal_force
+    full = np.sqrt((friction**2).sum(axis=1)) > limit * (1 - 1e-9)
+    return full & (solution.slip[0] == 0) & ((friction > 1e-3 * limit[:, None]).sum(axis=1) == 2)
+
+
+def test_a_contact_at_its_limit_with_both_components_needs_equal_friction():
+    """It bears exactly what the slip on the other side of its sphere does; one unit in the last place is too much."""
+    solution = minimum((3, 3, 4), 92)
+    assert solution.states_proven[0]
+    (contact,) = np.flatnonzero(oblique_at_limit(solution))
+    assert solution.state[0, contact] == SLIPLESS
+    samples, lattice = samples_of(solution), solution.scene.lattice
+    for way in (0.0, 2.0):
+        flat = lattice.flat(tuple(of[0] for of in samples.coefficient)).copy()
+        flat[contact] = np.nextafter(flat[contact], way)
+        judgement = replace(samples, coefficient=tuple(of[None] for of in lattice.by_axis(flat))).judgement
+        (states,), acts = judgement.states, judgement.acts[0]
+        assert (states.known[acts] == UNDECIDED).all()
 
 
 def test_friction_that_differs_in_its_last_digit_ties_nothing():
@@ -188,3 +213,35 @@ def test_a_domain_is_not_between_two_others_once_its_slips_have_turned(monkeypat
     assert lie_between(between, pulls, contacts, change)
     turned = replace(contacts, difference=tuple(-part for part in contacts.difference))
     assert not lie_between(between, pulls, turned, change)
+
+
+def test_links_that_share_domains_make_trees():
+    """Links 0-1 and 0-2 of domains share the domain 0 of the first component; a loop of four is left out."""
+
+    def link(first, second, sizes=(1.0, 2.0)):
+        return Link(((0, first), (1, second)), np.arange(2), (True, True), sizes)
+
+    star, loop = [link(0, 1), link(0, 2, (3.0, 1.0))], [link(5, 6), link(5, 7), link(8, 6), link(8, 7)]
+    alone = link(9, 9)
+    trees = _trees([star[0], *loop, alone, star[1]])
+    assert [len(tree) for tree in trees] == [2, 1]
+    # A motion of 1 in the first component moves domain 1 by 2 and domain 2 by 1/3 in the second one.
+    assert _farthest(trees[0]) == (1, 1)
+    assert [(of.nodes[1][1], slot) for of, slot in _ways(trees[0], (1, 1))] == [(1, 1), (2, 0)]
+    assert _farthest(trees[1]) == (1, 9)
+
+
+def test_spheres_that_share_one_component_move_along_two_lines():
+    """Both are pulled by equal friction on either side; the oracle says that minima differ by one motion."""
+    scene = make_scene((3, 3, 5), seeds=(133,))
+    draw = np.random.default_rng([133, 3, 120])
+    given = [np.asarray(draw.choice((0.1, 0.1, 1.0), size=of.shape)) for of in scene.coefficients]
+    solution = minimum((3, 3, 5), 133, coefficients=tuple(given))
+    least, proven = least_of_all(solution.scene), solution.proven[0]
+    true = solution.scene.lattice.flat(least.state)
+    assert least.freedom == 1
+    assert (true[~proven & (solution.state[0] != DRIVEN)] == EITHER).all()
+    names = {truth.SLIPLESS: SLIPLESS, truth.SLIPPING: SLIPPING, EITHER: TIED}
+    assert all(names[of] == state for of, state in zip(true[proven], solution.state[0, proven], strict=True)
+               if of != minima.DRIVEN)  # fmt: skip
+    assert (solution.state[0, proven] != UNDECIDED).sum() > 60
