@@ -108,7 +108,7 @@ class ObliqueLimits:
             return False
         contacts = sets[0]
         side = _side(pulls, contacts, pulls.firm_domain, firm)
-        if not np.array_equal(*sets) or side is None:
+        if not np.array_equal(sets[0], sets[1]) or side is None:
             return False
         has = self.guide[contacts] >= 0
         if has.all() or not has.any():
@@ -171,7 +171,7 @@ def _side(pulls: Pulls, contacts: np.ndarray, label: np.ndarray, domains: list[i
     label : (2, spheres), by component the label of the domain of each sphere.
     domains : the labels of the two domains."""
     up = [label[slot, pulls.upper[contacts]] == domains[slot] for slot in range(2)]
-    return np.where(up[0], 1, -1) if np.array_equal(*up) else None
+    return np.where(up[0], 1, -1) if np.array_equal(up[0], up[1]) else None
 
 
 def not_balanced(pulls: Pulls, between: list[Between]) -> np.ndarray:

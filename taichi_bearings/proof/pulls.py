@@ -84,14 +84,16 @@ class Pulls:
         begin to, so that its slip has another direction as soon as one of its spheres moves in this component."""
         both = self.felt.all(axis=0)
         turning = [both & self.apart(self.slipless_domain, 1), both & self.apart(self.slipless_domain, 0)]
-        return np.array(turning) | self.oblique
+        found: np.ndarray = np.array(turning) | self.oblique
+        return found
 
     @cached_property
     def uncertain(self) -> np.ndarray:
         """(2, n) mask, for either component True for a contact that may exert friction along it of which the size is
         not exactly known, as it exerts some along the other component, too."""
         slips = [self.in_s & self.turned_by[slot] & self.apart(self.slipless_domain, slot) for slot in range(2)]
-        return np.array(slips) | self.oblique
+        found: np.ndarray = np.array(slips) | self.oblique
+        return found
 
     def crossing(self, label: np.ndarray, value: int) -> np.ndarray:
         """Return the mask (n,) of the contacts of which exactly one sphere is in a domain.

@@ -266,15 +266,13 @@ class Saturated:
         network, strength = motion.network, motion.network.holding.value
         parts = np.abs([network.moment[k].high for k in network.needed])
         mask = motion.rests & (np.hypot(*parts) >= (1 - missed) * strength) & network.counts
-        return cls(
-            network, mask, mask & ((parts == parts.max(axis=0)) | (parts > (MISSED_ACROSS * missed) ** 0.5 * strength))
-        )
+        along = (parts == parts.max(axis=0)) | (parts > (MISSED_ACROSS * missed) ** 0.5 * strength)
+        return cls(network, mask, mask & along)
 
     @property
     def oblique(self) -> np.ndarray:
         """(E,) mask of the saturated contacts that bear friction along both components."""
-        found: np.ndarray = self.along.all(axis=0)
-        return found
+        return np.asarray(self.along.all(axis=0))
 
     def without(self, wrong: np.ndarray) -> Saturated | None:
         """Return these contacts without those that would have to be saturated for friction to balance, and may well not
@@ -488,7 +486,8 @@ def _undecided(
     between, movable : what can move along lines.
     near : the slipping contacts close to the minimum, and for each a bound on |slip at the minimum - slip| / |slip|.
     """
-    signs, undecided = movable.signs(*near), between.undecided.copy()
+    signs = movable.signs(*near)
+    undecided: np.ndarray = between.undecided.copy()
     if not signs[movable.slot, np.arange(len(movable.slot))].all():
         return None
     excluded = np.array([np.isin(pulls.slipless_domain[slot], between.labels[slot]) for slot in range(2)])
