@@ -96,7 +96,7 @@ class Fields:
         """
         self.layout: Any = layout  # users of strides ask it for other things than users of lists
         self.dtype, count = number_type() if kind is None else np.dtype(kind), 0
-        self._place: dict[str, tuple[int, int, Rows]] = {}  # first number and rows of a field, and where they lie
+        self._place: dict[str, tuple[int, int, Rows]] = {}  # of a field: index of its first number, C, row layout
         for names, rows in self.layout.parts(spec):
             for name, components in names:
                 self._place[name] = count, components, rows

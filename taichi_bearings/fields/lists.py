@@ -51,12 +51,14 @@ class Lists:
         sphere = reverse_cuthill_mckee(graph, symmetric_mode=True)
         place = np.empty(spheres, dtype=np.int64)
         place[sphere] = np.arange(spheres)
+        # places of the ends of each contact, the lower one first; contacts are sorted by them
         ends = np.sort(place[pairs], axis=1)
         contact = np.lexsort((ends[:, 1], ends[:, 0]))
         ends = ends[contact]
         whole = [block * max(1, -(-count // block)) for count in (spheres, len(pairs))]
         rows = np.zeros((2, whole[1]), dtype=np.int32)
         rows[:, : len(pairs)] = ends.T
+        # for each sphere in turn the contacts that it is an end of, and where they begin
         incident = np.append(np.argsort(ends.ravel(), kind="stable") // 2, 0)
         start = np.append(0, np.cumsum(np.bincount(ends.ravel(), minlength=whole[0])))
         tables = rows.ravel(), start.astype(np.int32), incident.astype(np.int32)
@@ -65,6 +67,7 @@ class Lists:
     def several(self, copies: int) -> "Lists":
         """Return the lists of `copies` samples of this network, one after another."""
         spheres, contacts = self.size
+        # places and positions in `incident` of each copy are those of the first one, shifted by the copies before it
         ends = self.ends.reshape(2, 1, -1) + spheres * np.arange(copies, dtype=np.int32)[:, None]
         incident, each = self.incident[:-1], np.arange(copies)[:, None]
         start = np.append(self.start[:-1] + len(incident) * each, copies * len(incident))

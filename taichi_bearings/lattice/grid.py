@@ -319,5 +319,6 @@ def _laboratory_axes(lattice: Lattice, spin_axes: tuple[int, ...]) -> Iterator[t
     """
     for axis, span in enumerate(lattice.spans):
         for slot in tangential(axis, spin_axes):
+            # -e_k x e_axis is + e_m if k follows the axis in the cycle x, y, z, else - e_m, with m the third axis
             sign = 1 if (spin_axes[slot] - axis) % 3 == 1 else -1
             yield slot, span, 3 - axis - spin_axes[slot], sign * lattice.lower_parity[span]

@@ -3,9 +3,9 @@
 Every field is one-dimensional in sites: p = margin + ((r * nx + i) * ny + j) * nz + k. The upper neighbour along an
 axis is p + stride. A sphere on a side has no upper contact there: its coefficient is 0, so what lies at p + stride (the
 other side, the next replica or the margin) does not matter as long as it is finite. Hence kernels have no branch for
-the boundary, treat 2D, 3D and replicas alike, and their inner loops run along memory (docs/decisions.md, 2). Along a
-periodic axis the neighbour is stride less a ring of spheres away where the ring closes; only kernels of such lattices
-ask where that is.
+the boundary, treat 2D, 3D and replicas alike, and their inner loops run along memory (docs/decisions.md, 2). On the
+upper side of a periodic axis the neighbour is at p + stride less the spheres around the axis; only kernels of periodic
+lattices compute that.
 
 Letters: C components, R replicas, N the shape of the lattice, D = 2 or 3 axes, E contacts.
 """
@@ -25,8 +25,7 @@ class Rows(NamedTuple):
     length : how many numbers lie from the beginning of one row to that of the next.
     margin : numbers before the first one of a row.
     shape : shape of one component.
-    order : for each place in a row, the number of the sphere or contact there; by default they stand in their own
-        order.
+    order : for each place in a row, the number of the sphere or contact there; by default the numbers rise by 1.
     """
 
     length: int

@@ -78,15 +78,16 @@ def _integers(name: str, values: ArrayLike) -> np.ndarray:
 
     Raises InputError for anything else.
     """
-    array = _array(name, values) if not isinstance(values, np.ma.MaskedArray) else np.asarray(0.5)
+    is_masked = isinstance(values, np.ma.MaskedArray)
+    array = np.asarray(0.5) if is_masked else _array(name, values)  # 0.5 is refused below, as masked arrays are to be
     if array.dtype.kind == "f":
         with np.errstate(invalid="ignore"):
             fits = array.ndim and (np.abs(array) <= MOST_INTEGER).all()
             whole = array.astype(np.int64) if fits else array.ravel()[:0]
         if array.size and array.ndim and (whole.shape != array.shape or (whole != array).any()):
             flat = array.ravel()
-            own = flat[~((np.abs(flat) <= MOST_INTEGER) & (flat == np.round(flat)))][0]
-            raise InputError(f"{name} holds {own}; it must hold whole numbers")
+            wrong = flat[~((np.abs(flat) <= MOST_INTEGER) & (flat == np.round(flat)))][0]
+            raise InputError(f"{name} holds {wrong}; it must hold whole numbers")
         array = whole if array.ndim else array
     if array.dtype.kind not in "iu" and not (array.size == 0 and array.dtype.kind == "f"):
         raise InputError(f"{name} is of type {array.dtype}; it must hold whole numbers")
@@ -273,13 +274,14 @@ def refuse_repeated(packing: "Packing") -> None:
     order = np.argsort(key, kind="stable")
     ends = np.cumsum(count)
     assert packing.normal is not None
-    outward = packing.normal * np.where(first < second, 1, -1)[:, None]
+    outward = packing.normal * np.where(first < second, 1, -1)[:, None]  # from the sphere of the lower number
     for group in np.flatnonzero(count > 1):
-        own = order[ends[group] - count[group] : ends[group]]
-        near = np.linalg.norm(outward[own][:, None] - outward[own][None], axis=2) + 2 * np.eye(len(own))
-        if not packing.normals_given or (near < SAME_NORMAL).any():
-            i, j = low[own[0]], high[own[0]]
+        same = order[ends[group] - count[group] : ends[group]]  # the contacts of one pair of spheres
+        apart = np.linalg.norm(outward[same][:, None] - outward[same][None], axis=2)
+        apart += 2 * np.eye(len(same))  # the largest distance of unit vectors: a contact is not compared with itself
+        if not packing.normals_given or (apart < SAME_NORMAL).any():
+            i, j = low[same[0]], high[same[0]]
             raise InputError(
-                f"contacts {own[0]} and {own[1]} both join spheres {i} and {j}; two spheres can have a second contact "
-                "only across a periodic side, and then all normals must be given and differ"
+                f"contacts {same[0]} and {same[1]} both join spheres {i} and {j}; two spheres can have a second "
+                "contact only across a periodic side, and then all normals must be given and differ"
             )

@@ -68,9 +68,9 @@ DISTRIBUTIONS: dict[str, tuple[tuple[str, ...], Callable[..., np.ndarray], Calla
     "bimodal": (("low", "high", "fraction"), _bimodal, lambda low, high, fraction: 0.0),
     "constant": (("value",), lambda rng, shape, value: np.full(shape, value), lambda value: 0.0),
 }
-"""The distributions by name: the names of the parameters; a function (rng, shape, *parameters) that draws an array; and
-one of the parameters that returns by how much, relatively, a number that is drawn may differ between machines. A new
-distribution is a row here; help texts and messages follow from it."""
+"""The distributions by name. A row has the names of the parameters; a function (rng, shape, *parameters) that draws an
+array; and a function of the parameters that returns the largest relative difference of a drawn number between machines.
+A new distribution is a row here; help texts and messages follow from it."""
 
 
 @dataclass(frozen=True)

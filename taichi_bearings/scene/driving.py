@@ -265,8 +265,8 @@ class Driving:
         """Return spins in the form that solvers store, (components C, samples R, spheres *N). Driven spheres get their
         imposed values.
 
-        * On a lattice it is a sign that alternates between neighbours, times the spin, less the same of the bottom,
-          1/time.
+        * On a lattice it is the spin times a sign that alternates between neighbours, measured from the state of the
+          bottom plane, 1/time.
         * In a packing it is the radius times the spin, length/time.
 
         spin : spins, 1/time, (R, *N) of discs or (R, *N, 3) of spheres.
@@ -456,7 +456,7 @@ class Planes(Driving):
 
     @property
     def grows(self) -> tuple[bool, bool]:
-        """True if the imposed spins of the top grow with the position, and the same of the bottom."""
+        """Two truth values, of the top and of the bottom: True if the imposed spins grow with the position (C != 0)."""
         low, more = self.bottom.rate[0][0], self.difference.rate[0][0]
         return bool(low + more), bool(low)
 
@@ -573,15 +573,16 @@ class Planes(Driving):
         return shown
 
     def of_equal_viscosity(self) -> np.ndarray:
-        """Return spins (components C, 1, spheres *N) that rise linearly with the height, 1/time: the minimum of a
-        viscous law without disorder. They are times the sign of the sublattice, less the state of the bottom.
+        """Return the minimum of a viscous law without disorder: spins (components C, 1, spheres *N), 1/time, that rise
+        linearly with the height, in the form that solvers store (times the sign of the sublattice, less the state of
+        the bottom).
         """
         height = np.linspace(0.0, 1.0, self.lattice.shape[-1])
         return self.imposed_on_top(self.every)[0][:, None, ..., None] * height
 
     def with_exact_imposed(self, spin: np.ndarray, rounding: np.ndarray) -> Pair:
-        """Return laboratory spins and what their rounding leaves out as they are: imposed spins of planes are known in
-        twice the precision, so that nothing has to be replaced.
+        """Return laboratory spins, and what their rounding leaves out, unchanged: the imposed spins of planes are known
+        in twice the precision, so that nothing has to be replaced.
 
         spin, rounding : 1/time, (samples R, spheres *N) of discs or (R, *N, 3) of spheres.
         """
@@ -723,8 +724,8 @@ class Planes(Driving):
         return high[slots], low[slots]
 
     def top_in_units(self, spin_axes: tuple[int, ...]) -> Pair:
-        """Return the imposed spins of the top plane divided by `unit`, (C, nx, ny), in 2D (C, nx), in twice the
-        precision. They are times the sign of the sublattice, less the state of the bottom.
+        """Return the imposed spins of the top plane, as solvers store them, divided by `unit`: (C, nx, ny), in 2D (C,
+        nx), in twice the precision. Solvers store spins times the sign of the sublattice, less the state of the bottom.
 
         spin_axes : numbers of the C components.
         """
@@ -764,6 +765,7 @@ def as_one_driving(u: np.ndarray) -> np.ndarray:
 def _unit_vector(vector: np.ndarray) -> Pair:
     """Return the unit vector along a vector (3,) that is not 0: two arrays (3,), the nearest doubles and what their
     rounding leaves out."""
+    # scaled by a power of two, which rounds nothing, so that squares neither overflow nor vanish
     vector = np.asarray(vector, dtype=np.float64)
     vector = np.ldexp(vector, -int(np.frexp(np.abs(vector).max())[1]))
     squares = two_product(vector, vector)

@@ -24,6 +24,7 @@ State = tuple[Decimal, Decimal, Decimal, Decimal]
 class ExactDriving:
     """The bearing states A + C x that are imposed on the two planes of a lattice, to 300 digits.
 
+    lattice : the lattice, whose first and last planes are driven.
     bottom, top : the states, four numbers each: A_x, A_y, A_z in 1/time and C in 1/(time length).
     """
 

@@ -91,10 +91,10 @@ class _Contacts:
     contact : (contacts E, 2), numbers of the first and second sphere.
     radius : (N,), length.
     given : normals (E, D) of the user, or None.
-    normal : these, or else `along`.
+    normal : (E, D), `given`, or `along` if no normals are given.
     vector : (E, D), length, from the centre of the first to that of the second sphere.
-    size : (E,), its length.
-    along : (E, D), its direction.
+    size : (E,), length of `vector`.
+    along : (E, D), direction of `vector`, a unit vector.
     reach : (E,), length, sum of the two radii.
     off : (E,), distance between the unit vectors `along` and `normal`.
     touches : (E,) mask, True if `size` is the sum of the radii but for a small gap or overlap.

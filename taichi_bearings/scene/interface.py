@@ -132,6 +132,7 @@ class Interface:
         across[across <= ACROSS * np.linalg.norm(jump, axis=1)] = 0.0  # (E,) slip of each contact on the interface
         material = tuple(values[0] for values in bearing.material)
         weight = bearing.law.objective(material, across)
+        # nodes of the graph are free spheres and driven bodies, edges the contacts that can slip and have a weight
         node, taken = number_bodies(bearing.network.body), np.zeros(bearing.network.contacts, dtype=bool)
         ends = node[bearing.network.contact]
         taken[bearing.acting] = True
@@ -140,7 +141,7 @@ class Interface:
         if not weight.sum() > 0:
             return None
         size = int(node.max()) + 1
-        edges = np.append(ends, [[0], [size - 1]], axis=1)  # an edge without weight, so that both bodies are there
+        edges = np.append(ends, [[0], [size - 1]], axis=1)  # one more, without weight: both bodies are in the graph
         slack = _slack(bearing, np.flatnonzero(taken), across, states[1])
         found = graph_cut(edges, np.append(weight, 0.0), np.arange(size) > 0, STATE_ROUNDING, slack)
         above, between = found.above[node], found.between[node]

@@ -8,10 +8,8 @@ dual phi*(f) = max_v (f v - phi(v)) of the forces gives lower bounds: for any fo
     least potential >= work of the driven planes - sum_e phi*(|f_e|).
 
 A law works on arrays of coefficients, in units of force or of force * time / length as `Bearing.material` has them;
-slips are speeds, length/time, and forces are sizes. kernels/contact.py has the same laws for kernels.
-
-of : as an argument, the coefficients of the law, a tuple of arrays (..., E) in the order of `Law.quantities`, for E
-contacts. holding force : the largest force that a contact bears without slipping, its friction force.
+slips are speeds, length/time, and forces are sizes. kernels/contact.py has the same laws for kernels. The *holding
+force* is the largest force that a contact bears without slipping, its friction force.
 """
 
 from dataclasses import dataclass
@@ -230,6 +228,7 @@ def check_law(law: Law, coefficients: Coefficients, fastest: float) -> None:
       F(v) included: there phi* may be infinite.
     """
     _check_objective(law)
+    # each slip at each of some contacts whose coefficients are all positive: arrays (slips, contacts tried)
     acting = np.flatnonzero(np.all([values.ravel() > 0 for values in coefficients], axis=0))
     some = acting[np.unique(np.linspace(0, len(acting) - 1, min(len(acting), CONTACTS_TRIED)).astype(int))]
     slip = np.append(0.0, fastest * np.logspace(-9, 3, 49))[:, None]
@@ -270,8 +269,8 @@ def check_law(law: Law, coefficients: Coefficients, fastest: float) -> None:
 
 
 def _wrong_beyond(law: Law, coefficients: Coefficients, slip: np.ndarray) -> dict[str, np.ndarray]:
-    """Return two masks (S, E) by sentence: where the conjugate of a law is wrong for forces beyond the largest one.
-    Forces in balance exceed that by rounding at least.
+    """Return two masks (S, E), by the sentence that is wrong where they are True. The sentences are conditions on the
+    conjugate of a law for forces beyond the largest F(v), which forces in balance exceed by rounding at least.
 
     law : the law, defined by a user.
     coefficients : its coefficients, a tuple of arrays (S, E).

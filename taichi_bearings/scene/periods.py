@@ -78,17 +78,17 @@ def reduced(periods: np.ndarray) -> np.ndarray:
     periods = np.array(periods, dtype=float)
     for _ in range(1000):
         is_shorter = False
-        for own in range(len(periods)):
-            others = np.delete(periods, own, axis=0)
+        for number in range(len(periods)):
+            others = np.delete(periods, number, axis=0)
             for steps in product((-1, 0, 1), repeat=len(others)):
-                shift = np.array(steps) @ others if len(others) else 0.0
-                pull = np.array(shift)
-                if not pull.any():
+                other = np.array(np.array(steps) @ others if len(others) else 0.0)
+                if not other.any():
                     continue
-                times = np.round(periods[own] @ pull / (pull @ pull))
-                shorter = periods[own] - times * pull
-                if shorter @ shorter < (periods[own] @ periods[own]) * (1 - 1e-12):
-                    periods[own], is_shorter = shorter, True
+                # the multiple of `other` that is nearest to the projection on it
+                times = np.round(periods[number] @ other / (other @ other))
+                shorter = periods[number] - times * other
+                if shorter @ shorter < (periods[number] @ periods[number]) * (1 - 1e-12):
+                    periods[number], is_shorter = shorter, True
         if not is_shorter:
             break
     return periods
@@ -106,7 +106,7 @@ def nearest_images(vector: np.ndarray, periods: np.ndarray, reach: np.ndarray) -
     if not len(periods):
         return found, doubtful
     periods = reduced(periods)
-    # A near image first, then step by step to the nearest one.
+    # a near image first, by rounding the coefficients of the vector; then step by step to the nearest one
     found -= np.round(found @ np.linalg.pinv(periods)) @ periods
     shifts = [np.array(steps) @ periods for steps in product((-1, 0, 1), repeat=len(periods)) if any(steps)]
     for _ in range(100):

@@ -202,7 +202,7 @@ OF_REPLICAS = (
     ("objective", 0), ("largest_balance_residual", 0), ("states_believed", 0), ("state", 0), ("slip", 0),
     ("staggered", 1), ("rest", 1), ("force", 1),
 )  # fmt: skip
-"""Fields of Progress that hold numbers of each replica, and the axis of their arrays that counts the replicas."""
+"""Fields of Progress that have numbers of each sample, and the axis of their arrays that counts the samples."""
 
 
 def _picked(better: np.ndarray, axis: int, new: Any, old: Any) -> Any:
@@ -353,8 +353,8 @@ class Solution:
         if scene.replicas == 1:
             return self
 
-        of_replicas = {item.name: getattr(self, item.name) for item in fields(self)}
-        changes: dict[str, Any] = {n: v[one] for n, v in of_replicas.items() if isinstance(v, np.ndarray)}
+        values = {item.name: getattr(self, item.name) for item in fields(self)}
+        changes: dict[str, Any] = {n: v[one] for n, v in values.items() if isinstance(v, np.ndarray)}
         changes |= {
             "scene": scene.sample(number),
             "seconds": self.seconds / scene.replicas,
@@ -366,6 +366,7 @@ class Solution:
         changes |= {name: values[one].item() for name, values in self.own.items()}
         if (kept := self.snapshots) is not None:
             time = kept.time if kept.time.ndim == 1 else kept.time[:, number]
+            # a sample that ended early repeats its last snapshot
             new = np.diff(time, prepend=-1.0) > 0
             changes["snapshots"] = Snapshots(time[new], kept.spin[new][:, one]) if new.any() else None
         return replace(self, **changes)
@@ -428,13 +429,12 @@ class Solution:
         )
 
     def with_sample(self, number: int, one: "Solution", last: "Solution") -> "Solution":
-        """Return an array that has the entries of `new` in the samples where `better` is True, and those of `old` in
-        the rest; None if either array is None.
+        """Return a copy of this answer with a new answer in one sample. The seconds of the last solve are added, and
+        its status is taken.
 
         number : number of the sample.
         one : new answer of the sample.
-        last : the answer of the search that was made last, from which seconds, status and interruption are taken.
-        new, old : the two arrays, of one shape; or None.
+        last : answer of the last solve, from which seconds, status and interruption are taken.
         """
         spent = self.seconds + last.seconds
         ended: dict[str, Any] = {"seconds": spent, "status": last.status, "interrupted": last.interrupted}
@@ -465,5 +465,6 @@ def stacked(each: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
     for name in {name: None for one in each for name in one}:
         longest = max((one[name] for one in each if name in one), key=len)
         given = [one.get(name, longest[:1] * np.nan) for one in each]
-        found[name] = np.stack([np.append(v, np.repeat(v[-1:], len(longest) - len(v), axis=0), axis=0) for v in given])
+        padded = [np.append(v, np.repeat(v[-1:], len(longest) - len(v), axis=0), axis=0) for v in given]
+        found[name] = np.stack(padded)
     return found

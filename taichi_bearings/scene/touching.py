@@ -30,8 +30,8 @@ def near_pairs(
     from scipy.spatial import cKDTree  # a tenth of a second that runs do not need
 
     octave = np.floor(np.log2(radius)).astype(int)
-    for own in np.unique(octave):
-        chosen = np.flatnonzero(octave == own)
+    for one in np.unique(octave):
+        chosen = np.flatnonzero(octave == one)
         tree, largest = cKDTree(center[chosen]), radius[chosen].max()
         for start in range(0, len(places), SEARCHED_AT_ONCE):
             part = slice(start, start + SEARCHED_AT_ONCE)
@@ -58,11 +58,11 @@ def images(center: np.ndarray, radius: np.ndarray, periods: np.ndarray, factor: 
     number, shift = np.arange(len(center)), np.zeros_like(center)
     margin, low, high = 2 * factor * radius.max(), center.min(axis=0), center.max(axis=0)
     for period in periods:
-        moved = [(number, shift + sign * period) for sign in (-1, 1)]
+        # all images so far, and their copies on either side that are near enough to touch a sphere
         parts = [(number, shift)]
-        for own, by in moved:
-            place = center[own] + by
+        for moved in (shift - period, shift + period):
+            place = center[number] + moved
             near = ((place >= low - margin) & (place <= high + margin)).all(axis=1)
-            parts.append((own[near], by[near]))
+            parts.append((number[near], moved[near]))
         number, shift = (np.concatenate(part) for part in zip(*parts, strict=True))
     return number, shift
