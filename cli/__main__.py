@@ -24,11 +24,12 @@ def main() -> None:
     """Run the command line. Ctrl-C ends it with a sentence and exit code 130 at any time."""
     try:
         interrupts.end_at_signals()
-        from taichi_bearings.later import postpone
-        from taichi_bearings.memory import collect_cycles_seldom, keep_freed
+        from taichi_bearings.later import collect_cycles_seldom, postpone
 
-        postpone()
         collect_cycles_seldom()
+        postpone()
+        from taichi_bearings.memory import keep_freed
+
         keep_freed()
         from taichi_bearings_cli.main import main as bearings
 

@@ -1,7 +1,6 @@
 """Finds how much memory is free, so that what cannot fit is refused before it begins, and not killed by the system."""
 
 import ctypes
-import gc
 import math
 import os
 import sys
@@ -19,9 +18,6 @@ LITTLE_BYTES = 1e8  # if less is needed the free memory is not looked at
 # at once; and in bytes M_TRIM_THRESHOLD, free memory at the end of the heap from which that is given back, and
 # M_TOP_PAD, by how much the heap grows at a time
 MALLOC_OPTIONS = {-4: 0, -1: 2**29, -2: 2**26}
-# new objects after which Python looks for cycles among the youngest ones; how many of these searches go before one
-# among older ones, and of those before one among all
-COLLECTED_AFTER = 20_000, 20, 100
 # Advice to Linux, from 5.14 on: provide memory now, as the first write to it would (MADV_POPULATE_WRITE); and how many
 # bytes at a time, as other threads that want memory wait meanwhile
 POPULATE_WRITE, BYTES_AT_ONCE = 23, 2**22
@@ -70,16 +66,6 @@ def refuse_beyond(needed: float, what: str) -> None:
     free = free_bytes() if needed > LITTLE_BYTES else needed
     if needed > free:
         raise MemoryError(f"{what} needs {needed / 1e9:.1f} GB of memory; {max(free, 0) / 1e9:.1f} GB are free")
-
-
-def collect_cycles_seldom() -> None:
-    """Have Python look for unreachable cycles of objects after 20 000 new ones only; the usual number is 700, or 2 000
-    in newer versions.
-
-    A program that loads its modules makes many objects but no unreachable cycles, and looking for them takes a tenth of
-    the time to start.
-    """
-    gc.set_threshold(*COLLECTED_AFTER)
 
 
 def keep_freed() -> None:

@@ -28,7 +28,8 @@ from taichi_bearings import runtime
 from taichi_bearings.copies import Original, take_original
 from taichi_bearings.errors import BearingsError, InputError, WriteError
 from taichi_bearings.files.scan_file import FAILED
-from taichi_bearings.memory import collect_cycles_seldom, keep_freed
+from taichi_bearings.later import collect_cycles_seldom
+from taichi_bearings.memory import keep_freed
 from taichi_bearings.plain_files import Json
 
 Unit = tuple[Any, ...]

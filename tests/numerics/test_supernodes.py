@@ -33,8 +33,9 @@ PATTERNS = [(1, 0.0), (12, 0.0), (40, 0.02), (40, 0.05), (60, 0.1), (25, 1.0)]
 def test_the_tree_is_that_of_the_factor(size, share):
     coupled = random_pattern(size, share, seed=size)
     matrix, full = sparse.csr_matrix(coupled), filled(coupled)
-    parent, count, mark = np.zeros((3, size), dtype=np.int32)
-    elimination_tree.grow(matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32), parent, count, mark)
+    parent, count, *others = np.zeros((6, size), dtype=np.int32)
+    starts, rows = matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32)
+    elimination_tree.divide(0.0, 0.0, 0.0, starts, rows, parent, count, *others)
     assert count.tolist() == full.sum(axis=0).tolist()
     for k in range(size):
         below = np.flatnonzero(full[k + 1 :, k])

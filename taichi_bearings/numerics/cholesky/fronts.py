@@ -239,8 +239,8 @@ def supernodes(pattern: sparse.csr_matrix, price: Price) -> Parts:
     runtime.current()  # starts it
     size = pattern.shape[0]
     parent, count, home, own, child, sibling = np.zeros((6, size), dtype=np.int32)
-    elimination_tree.grow(pattern.indptr.astype(np.int32), pattern.indices.astype(np.int32), parent, count, home)
-    elimination_tree.join(*astuple(price), parent, count, home, own, child, sibling)
+    starts, rows = pattern.indptr.astype(np.int32), pattern.indices.astype(np.int32)
+    elimination_tree.divide(*astuple(price), starts, rows, parent, count, home, own, child, sibling)
     # list parts with children before parents: each root, then what hangs below it, backwards
     first, following = child.tolist(), sibling.tolist()
     lasts, waiting = list[int](), np.flatnonzero(parent < 0).tolist()
