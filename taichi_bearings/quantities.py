@@ -14,7 +14,7 @@ a structure, and a is an answer.
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -22,9 +22,6 @@ from taichi_bearings.plain_files import Json
 from taichi_bearings.proof.contact_state import ContactState, Separation
 from taichi_bearings.scene import Solution, Status
 from taichi_bearings.version import VERSION
-
-if TYPE_CHECKING:
-    pass
 
 
 class Asked(Protocol):
@@ -79,17 +76,17 @@ class Quantity:
 
 
 def _fact(name: str) -> Callable[[Answer], object]:
-    """Return a function of an answer that gives a number that describes what was solved; None where there is no such
-    number.
+    """Return a function of an answer that looks up one number of its scene, such as the radius of the spheres; that
+    function returns None where the scene has no such number.
 
-    name : name of the number among the facts of the scene, such as "spin_top".
+    name : name of the number in `Bearing.facts`, such as "spin_top".
     """
     return lambda answer: answer.solution.scene.facts.get(name)
 
 
 def _of_unique_slips(value_of: Callable[[Answer], object]) -> Callable[[Answer], object]:
-    """Return a function of an answer that calls `value_of` on lattices, where the slips at the minimum are unique; for
-    packings it returns None.
+    """Return a function that does what `value_of` does where all states of least power have the same slips (on
+    lattices), and returns None elsewhere (for packings).
 
     value_of : function of an answer.
     """
@@ -136,8 +133,9 @@ def _decades(answer: Answer) -> np.ndarray:
 
 
 def _normalised(answer: Answer) -> np.ndarray | None:
-    """Return the power over F_n R |omega_T| of a lattice, (samples R,); None where that is 0, with a viscosity, and for
-    other packings.
+    """Return the power (samples R,) divided by F_n R |omega_T|: normal force, radius and spin of the top.
+
+    It is None where that unit is 0 or unknown, as for packings, and for laws in which the force depends on the speed.
 
     answer : a result of one or several samples.
     """
@@ -147,8 +145,7 @@ def _normalised(answer: Answer) -> np.ndarray | None:
 
 
 def _at_end(column: str) -> Callable[[Answer], object]:
-    """Return a function of an answer that gives the last value in a column of the history; None if there is no such
-    column.
+    """Return a function that gives the last value of one column of an answer's history, or None without that column.
 
     column : name of the column.
     """
@@ -495,16 +492,16 @@ def _ratio(value: float, unit: float) -> float:
 
 
 def _if_spans(structure: Any, value: float) -> float:
-    """Return the value, or not-a-number where slipless contacts do not join bottom and top.
+    """Return `value` where slipless contacts join bottom and top, else not-a-number.
 
     structure : what the contacts of a sample form.
-    value : any number that has a meaning only then.
+    value : number that has a meaning only where they do.
     """
     return value if structure.network.spans else np.nan
 
 
 class Whole(list[Any]):
-    """A list that is a single value for all samples, not one value for each."""
+    """A list that is one value for all samples, such as a shape; a plain list has an entry for each sample."""
 
 
 def numbers_of(answer: Answer) -> Json:
@@ -520,8 +517,11 @@ def numbers_of(answer: Answer) -> Json:
 
 
 def _reported(value: object, several: bool) -> Any:
-    """Return a value as Python numbers and texts: of an array or list all entries if there are `several` samples, else
-    the first."""
+    """Return a value of the table as JSON can hold it.
+
+    value : one value for all samples, or an array or list with one for each.
+    several : True if there are several samples: then all entries are returned, else the only one.
+    """
     if isinstance(value, Whole):
         return list(value)
     if isinstance(value, (np.ndarray, list)):

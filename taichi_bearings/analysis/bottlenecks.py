@@ -19,8 +19,8 @@ outside close every path between two bodies into a cycle, so the backbone is mad
 these links (Hopcroft and Tarjan, Comm. ACM 16, 372, 1973). With more than two bodies, pairs are of any two of them.
 
 Paths are counted by Brandes' algorithm (J. Math. Sociol. 25, 163, 2001), one level of a breadth-first search at a time
-for many sources at once. The sweep out counts paths: sigma_s(w) is the sum of sigma_s(v) over the neighbours v in the
-level before. The sweep home carries the load gathered at w back to each such v in proportion to sigma_s(v) /
+for many sources at once. The forward sweep counts paths: sigma_s(w) is the sum of sigma_s(v) over the neighbours v in
+the level before. The backward sweep passes the load gathered at w on to each such v in proportion to sigma_s(v) /
 sigma_s(w). Only these ratios are kept, so the counts, which grow exponentially with the distance, are rescaled at every
 level and never overflow. The work grows like sources times links.
 
@@ -55,7 +55,7 @@ class Betweenness:
     pair together count 1.
 
     link : (links,), load of each link.
-    sphere : (spheres,), load of each sphere, which includes the pairs whose end it is.
+    sphere : (spheres,), load of each sphere; pairs of which it is an end count, too.
     pairs : number of connected pairs.
     mean_distance : mean length of their shortest paths, as a number of links; 0 without pairs.
     is_exact : True if the paths of all pairs were counted; False if the loads are an unbiased estimate from a random
@@ -103,6 +103,7 @@ class Bottlenecks:
     @cached_property
     def parting(self) -> np.ndarray:
         """(links,) mask: True for links of the backbone whose removal alone separates bottom from top."""
+        # removing a link separates its ends exactly if it is alone in its biconnected block: no cycle runs through it
         parting = np.zeros(len(self.backbone), dtype=bool)
         low, high = self.network.body[self.network.ends[:, self.backbone]]
         block = _blocks(low, high, self.network.bodies)
@@ -118,15 +119,15 @@ class Bottlenecks:
 
     @property
     def share(self) -> np.ndarray:
-        """(links,) share of the connected pairs of a bottom and a top sphere whose shortest paths run through each
-        link; 0 without pairs.
+        """(links,) load of each link, divided by the number of connected pairs of a bottom and a top sphere: the share
+        of shortest paths that run through it. It is 0 without pairs.
         """
         return self.betweenness.link / max(1, self.betweenness.pairs)
 
     @property
     def visits(self) -> np.ndarray:
-        """Share of the connected pairs of a bottom and a top sphere whose shortest paths visit each sphere, in the
-        shape of the lattice or (spheres,).
+        """Load of each sphere, divided by the number of connected pairs of a bottom and a top sphere: the share of
+        shortest paths that visit it. The array has the shape of the lattice, or (spheres,).
         """
         found = self.betweenness
         return found.sphere.reshape(self.network.shape) / max(1, found.pairs)
@@ -165,11 +166,12 @@ def _blocks(low: np.ndarray, high: np.ndarray, bodies: int) -> np.ndarray:
     graph.add_nodes_from(range(bodies))
     graph.add_edges_from_no_data(list(zip(low.tolist(), high.tolist(), strict=True)))
     found = rustworkx.biconnected_components(graph)
-    pairs = np.sort(np.array(list(found.keys()), dtype=np.int64).reshape(-1, 2), axis=1) @ [bodies, 1]
-    order = np.argsort(pairs)
+    # look up the block of each link; two nodes a <= b have the code a * bodies + b
+    codes = np.sort(np.array(list(found.keys()), dtype=np.int64).reshape(-1, 2), axis=1) @ [bodies, 1]
+    order = np.argsort(codes)
     wanted = np.minimum(low, high).astype(np.int64) * bodies + np.maximum(low, high)
-    label: np.ndarray = np.array(list(found.values()), dtype=np.int64)[order[np.searchsorted(pairs[order], wanted)]]
-    return label
+    block: np.ndarray = np.array(list(found.values()), dtype=np.int64)[order[np.searchsorted(codes[order], wanted)]]
+    return block
 
 
 def betweenness(network: SliplessNetwork, links: np.ndarray | None = None) -> Betweenness:
@@ -185,19 +187,21 @@ def betweenness(network: SliplessNetwork, links: np.ndarray | None = None) -> Be
     sites, edges = len(network.body), network.ends.shape[1]
     neighbours = _neighbours(network, np.arange(edges) if links is None else np.flatnonzero(links))
     passed = network.free.ravel()
-    found = [_loads_between(neighbours, passed, edges, *ends) for ends in _ends_of_pairs(network)]
-    pairs, far = sum(one.pairs for one in found), sum(one.pairs * one.mean_distance for one in found)
-    link, sphere = (np.sum([np.zeros(n), *v], axis=0) for n, v in (
-        (edges, [one.link for one in found]), (sites, [one.sphere for one in found])
-    ))  # fmt: skip
-    return Betweenness(link, sphere, pairs, far / max(1, pairs), all(one.is_exact for one in found))
+    link, sphere, pairs, distances, is_exact = np.zeros(edges), np.zeros(sites), 0, 0.0, True
+    for ends in _ends_of_pairs(network):
+        found = _loads_between(neighbours, passed, edges, *ends)
+        link += found.link
+        sphere += found.sphere
+        pairs += found.pairs
+        distances += found.pairs * found.mean_distance
+        is_exact &= found.is_exact
+    return Betweenness(link, sphere, pairs, distances / max(1, pairs), is_exact)
 
 
 def _loads_between(
     neighbours: "_Neighbours", passed: np.ndarray, edges: int, starts: np.ndarray, targets: np.ndarray, pairs: int
 ) -> Betweenness:
-    """Return the loads of links and spheres, which say how many shortest paths between two driven bodies run through
-    each. All shortest paths between the same two spheres together count 1.
+    """Return the loads of links and spheres by the shortest paths between two driven bodies.
 
     neighbours : the neighbours of all spheres.
     passed : (spheres,) mask of those that paths may run through.
@@ -205,49 +209,52 @@ def _loads_between(
     starts, targets : (n,) and (m,), numbers of the spheres of the one and of the other body.
     pairs : number of pairs of a start and a target that some path connects.
     """
-    # all sources are searched, or a random sample of as many as EXACT_WORK allows
+    # paths are counted from all starts, or from a random sample of as many as EXACT_WORK allows
     sites = len(passed)
     is_target = np.zeros(sites, dtype=bool)
     is_target[targets] = True
     work = max(1, len(neighbours.link) // 2)
-    number, drawn = max(2, EXACT_WORK // work), starts
-    if number < len(starts):
-        drawn = np.sort(np.random.default_rng(0).choice(starts, number, replace=False))
+    most, sources = max(2, EXACT_WORK // work), starts
+    if most < len(starts):
+        sources = np.sort(np.random.default_rng(0).choice(starts, most, replace=False))
     # a batch of sources at a time: levels of the searches, then loads summed over links and spheres
     link, sphere, distance = np.zeros(edges), np.zeros(sites), 0.0
     at_once = max(1, BATCH_WORK // max(work, sites))
-    for begin in each(range(0, len(drawn), at_once), "counting shortest paths", alike):
-        levels = _count_paths(neighbours, passed, drawn[begin : begin + at_once])
-        arrived, flows = _send_home(levels, is_target)
-        place = np.concatenate([level.link for level in levels[:0:-1]])
-        link += np.bincount(place, weights=flows, minlength=edges)
-        place = np.concatenate([level.sphere for level in levels])
-        sphere += np.bincount(place, weights=np.concatenate(arrived), minlength=sites)
+    for begin in each(range(0, len(sources), at_once), "counting shortest paths", alike):
+        levels = _count_paths(neighbours, passed, sources[begin : begin + at_once])
+        arrived, flows = _loads_of_levels(levels, is_target)
+        links = np.concatenate([level.link for level in levels[:0:-1]])  # from the farthest level to the nearest
+        link += np.bincount(links, weights=flows, minlength=edges)
+        spheres = np.concatenate([level.sphere for level in levels])
+        sphere += np.bincount(spheres, weights=np.concatenate(arrived), minlength=sites)
         distance += sum(n * is_target[level.sphere].sum() for n, level in enumerate(levels))
-    # with a random sample of the sources the loads are scaled up to all of them
-    scale = len(starts) / max(1, len(drawn))
+    # with a random sample of the starts the loads are scaled up to all of them
+    scale = len(starts) / max(1, len(sources))
     mean = float(scale * distance) / max(1, pairs)
-    return Betweenness(scale * link, scale * sphere, pairs, mean, is_exact=len(drawn) == len(starts))
+    return Betweenness(scale * link, scale * sphere, pairs, mean, is_exact=len(sources) == len(starts))
 
 
 def _ends_of_pairs(network: SliplessNetwork) -> Iterator[tuple[np.ndarray, np.ndarray, int]]:
-    """Yield, for each driven body and all bodies of higher number, the spheres that paths between them can start or end
-    at. Each item has the numbers of these spheres on the side with fewer of them, those on the other side, and the
-    number of pairs that some path connects. A path connects two driven spheres if they have links to the same connected
-    piece of free spheres.
+    """Yield the ends of paths: for each driven body the spheres of that body and of all later ones that some path over
+    free spheres connects. A path connects two driven spheres if they have links to the same connected piece of free
+    spheres.
 
     network : a graph of spheres, some of them driven, and of links between them.
+
+    Each item has the numbers of the spheres, of the fewer ones first, and the number of connected pairs.
     """
-    touching = _pieces_beside(network)
-    touched = [network.touched_of(body).tolist() for body in network.driven_nodes]
-    for number, own in enumerate(touched[:-1]):
-        others = [sphere for of in touched[number + 1 :] for sphere in of]
-        spanning = _union(touching[sphere] for sphere in own) & _union(touching[sphere] for sphere in others)
-        low, high = ({sphere: touching[sphere] & spanning for sphere in side} for side in (own, others))
-        counts = Counter(low.values()), Counter(high.values())
+    pieces_of = _linked_pieces(network)
+    bodies = [network.touched_of(body).tolist() for body in network.driven_nodes]
+    for number, body in enumerate(bodies[:-1]):
+        later = [sphere for other in bodies[number + 1 :] for sphere in other]
+        # pieces of free spheres that have links to this body and to a later one, by driven sphere
+        common = _union(pieces_of[sphere] for sphere in body) & _union(pieces_of[sphere] for sphere in later)
+        here, there = ({sphere: pieces_of[sphere] & common for sphere in ends} for ends in (body, later))
+        # count pairs with a piece in common; spheres with the same pieces are counted together
+        counts = Counter(here.values()), Counter(there.values())
         pairs = sum(n * m for one, n in counts[0].items() for other, m in counts[1].items() if one & other)
-        bottom, top = (np.array([n for n, pieces in side.items() if pieces], np.int64) for side in (low, high))
-        yield (bottom, top, pairs) if len(bottom) <= len(top) else (top, bottom, pairs)
+        first, second = (np.array([n for n, pieces in ends.items() if pieces], np.int64) for ends in (here, there))
+        yield (first, second, pairs) if len(first) <= len(second) else (second, first, pairs)
 
 
 def _union(sets: Iterable[frozenset[int]]) -> frozenset[int]:
@@ -255,9 +262,9 @@ def _union(sets: Iterable[frozenset[int]]) -> frozenset[int]:
     return frozenset[int]().union(*sets)
 
 
-def _pieces_beside(network: SliplessNetwork) -> dict[int, frozenset[int]]:
-    """Return, for each driven sphere by its number, the set of the connected pieces of free spheres to which it has a
-    link.
+def _linked_pieces(network: SliplessNetwork) -> dict[int, frozenset[int]]:
+    """Return the connected pieces of free spheres to which each driven sphere has a link: sets of numbers of pieces, by
+    the number of the driven sphere.
 
     network : a graph of spheres, some of them driven, and of links between them.
     """
@@ -269,15 +276,15 @@ def _pieces_beside(network: SliplessNetwork) -> dict[int, frozenset[int]]:
     # links from driven spheres into these pieces, in both directions
     found: dict[int, set[int]] = {}
     for here, there in (network.ends, network.ends[::-1]):
-        leaves = ~free[here]
-        for sphere, piece in zip(here[leaves].tolist(), label[there[leaves]].tolist(), strict=True):
+        is_driven = ~free[here]
+        for sphere, piece in zip(here[is_driven].tolist(), label[there[is_driven]].tolist(), strict=True):
             found.setdefault(sphere, set()).add(piece)
     return {sphere: frozenset(pieces) for sphere, pieces in found.items()}
 
 
 class _Neighbours(NamedTuple):
-    """The neighbours of all spheres in one long list, sphere after sphere. The neighbours of sphere i are sphere[k],
-    reached over the links link[k], with k from first[i] to first[i] + degree[i] - 1.
+    """The neighbours of all spheres in one long list, sphere after sphere: sphere i has the neighbours sphere[k] over
+    the links link[k], with k from first[i] to first[i] + degree[i] - 1.
 
     first, degree : (spheres,), where the neighbours of each sphere begin in the list, and how many it has.
     sphere, link : (2 * links,), number of each neighbour, and of the link to it.
@@ -303,14 +310,14 @@ def _neighbours(network: SliplessNetwork, links: np.ndarray) -> _Neighbours:
 
 
 class _Level(NamedTuple):
-    """The spheres at one distance from the sources of several searches that are made together, and the links that lead
-    to them.
+    """One level of several breadth-first searches: the spheres at one distance from the sources, and the links that
+    lead to them from the level before. A sphere that several searches find has an entry for each.
 
-    sphere, search : (spheres found,), number of each sphere found, and of the search that found it.
-    tail : for each link that leads here, index in the level before of its nearer sphere.
-    head : for each such link, index in this level of its farther sphere.
-    link : number of each such link.
-    share : for each such link, fraction of the shortest paths to its farther sphere that come over it.
+    sphere, search : (entries,), number of each sphere found, and of the search that found it.
+    tail, head : (links used,), entry of the nearer end of each link in the level before, and of its farther end in
+        this level.
+    link : (links used,), number of each link.
+    share : (links used,), fraction of the shortest paths to the farther end that come over each link.
     """
 
     sphere: np.ndarray
@@ -322,22 +329,22 @@ class _Level(NamedTuple):
 
 
 def _count_paths(neighbours: _Neighbours, passed: np.ndarray, sources: np.ndarray) -> list[_Level]:
-    """Return the levels of breadth-first searches, the nearest first. A level has the spheres at one distance from the
-    sources, and for each link to them its share of the shortest paths; level 0 has the sources themselves.
+    """Return the levels of breadth-first searches, the nearest first: the spheres at each distance from the sources,
+    and the share that each link to them has in their shortest paths. Level 0 has the sources themselves.
 
     neighbours : the neighbours of all spheres.
     passed : (spheres,) mask of those from which a search goes on.
     sources : (searches,), number of the sphere where each search begins.
     """
     searches, sites = len(sources), len(neighbours.degree)
-    place = np.full(searches * sites, -1, dtype=np.int32)  # index in the level of a sphere found; -1 if not found yet
+    place = np.full(searches * sites, -1, dtype=np.int32)  # entry in its level of each sphere; -1 if not found yet
     none = np.empty(0, dtype=np.int64)
     level = _Level(sources, np.arange(searches), none, none, none, np.empty(0))
     place[level.search * sites + level.sphere] = 0
     count, levels = np.ones(searches), []
     while len(level.sphere):
         levels.append(level)
-        # all links from this level, by their place in the list of neighbours
+        # all links from this level, by their place (slot) in the list of neighbours
         degree = neighbours.degree[level.sphere]
         if len(levels) > 1:
             degree = np.where(passed[level.sphere], degree, 0)
@@ -347,26 +354,29 @@ def _count_paths(neighbours: _Neighbours, passed: np.ndarray, sources: np.ndarra
         # only links to spheres that this search has not found before lead on
         new = place[found] < 0
         tail, slot, found = tail[new], slot[new], found[new]
+        # number the spheres found: of several links to one sphere the assignment keeps the last, which represents it
         number = np.arange(len(found), dtype=np.int32)
-        place[found] = number  # where several links lead to one sphere, the last one stays and represents it
+        place[found] = number
         one_each = place[found] == number
         place[found[one_each]] = number[: one_each.sum()]
         head = place[found]
-        # paths to a sphere: the sum over the links that lead to it
+        # number of shortest paths to a sphere: the sum over the links to it of the paths to their nearer ends
         total = np.bincount(head, weights=count[tail])
         spheres, searched = neighbours.sphere[slot[one_each]], level.search[tail[one_each]]
         level = _Level(spheres, searched, tail, head, neighbours.link[slot], count[tail] / total[head])
-        count = np.maximum(total / total.max(initial=0), LEAST_COUNT)
+        count = np.maximum(total / total.max(initial=0), LEAST_COUNT)  # only ratios within a level are needed
     return levels
 
 
-def _send_home(levels: Sequence[_Level], is_target: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
-    """Divide one unit, which starts at every target, over the shortest paths back to the source of its search. Return a
-    list with the amount that arrives at the spheres of each level, and an array with the amount that flows through each
-    link. In the array the links of the farthest level come first, those of the nearest last.
+def _loads_of_levels(levels: Sequence[_Level], is_target: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
+    """Return the loads of spheres, a list of arrays by level, and of links, one array from the farthest level to the
+    nearest.
 
     levels : levels of the searches, the nearest first.
     is_target : (spheres,) mask of the targets.
+
+    One unit starts at every target and is divided over the shortest paths back to the source of its search. A load is
+    the amount that passes.
     """
     arrived, flows = [is_target[level.sphere].astype(float) for level in levels], [np.empty(0)]
     for distance in range(len(levels) - 1, 0, -1):

@@ -10,10 +10,10 @@ two notions agree.
 A domain is *locked* to a driven plane in component k if slipless contacts join it to that plane in k. At a minimum no
 domain is locked to both planes in a component that they drive differently; slip thresholds can make it look so.
 
-Where the imposed states differ in their dilation, the spins of a driven plane vary from layer to layer (a layer is a
-plane across the axis k). Contacts that join bottom and top in a layer where both have the same spin then must not lock
-other layers. So each layer of a driven plane is a body of its own; all spheres locked to the bottom, in whatever layer,
-still are one domain of k, and so are all locked to the top.
+The imposed bearing states A + C x of bottom and top may differ in C. Then component k of the spins of a driven plane
+varies from layer to layer (a layer is a plane across the axis k), and contacts that join bottom and top in a layer
+where both have the same spin must not lock other layers. So each layer of a driven plane is a body of its own. All
+spheres locked to the bottom, in whatever layer, still are one domain of k, and so are all locked to the top.
 
 Shapes: C components, D rigid domains, N spheres (the shape of a lattice, else their number), `sites` their number.
 """
@@ -53,14 +53,14 @@ class RigidDomains:
     bearing.
 
     spin_axes : numbers of the C spin components that the driving needs.
-    component_domain : (components C, spheres *N), number of the domain of each sphere by component: there only that
-        component has to agree.
+    component_domain : (components C, spheres *N), number of the domain of each sphere by component k: spheres that
+        slipless contacts force to have the same component k, whatever the others are.
     domain : (*N), number of the rigid domain of each sphere: 0, 1, ... by falling number of spheres.
     spheres : (domains D,), spheres of each of the D rigid domains, driven ones included.
-    staggered : (D, C), mean spin of each, 1/time, with opposite signs for neighbours and measured from the bottom
-        plane.
-    spread : largest difference, over all components, between the spin of a sphere and the mean of its domain (or the
-        top's spin where it is locked to that): 0 but for rounding.
+    staggered : (D, C), mean spin of each domain, 1/time, with opposite signs for neighbours and measured from the
+        bottom plane.
+    spread : largest difference between a component of the spin of a sphere and the mean of its domain, or the top's
+        spin where the domain is locked to the top; 0 but for rounding.
     lock : (D, C), values of `Lock`: to which driven bodies slipless contacts join the domain, one bit for each.
     jump : (D, C), spin of the top plane in the layers of each domain, counted like `staggered`.
     bodies : names of the driven bodies.
@@ -83,13 +83,13 @@ class RigidDomains:
         cls, spin_axes: tuple[int, ...], labels: np.ndarray, tied: np.ndarray, spins: np.ndarray,
         jump: np.ndarray | None, shape: tuple[int, ...], bodies: tuple[str, ...] = ("bottom", "top"),
     ) -> "RigidDomains":  # fmt: skip
-        """Return the rigid domains, given what slipless contacts join in each of C spin components. Spheres that
-        slipless contacts force to have the same component k, up to signs, are a domain of k; a rigid domain is a set of
-        spheres that agree in all C.
+        """Return the rigid domains, given the domains in each of C spin components. Spheres that slipless contacts
+        force to have the same component k, up to signs, are a domain of k; a rigid domain is a set of spheres that
+        share their domain in all C components.
 
         spin_axes : numbers of the components.
         labels : (C, spheres), number of the domain of each sphere in each component.
-        tied : (C, spheres), driven bodies that are in that domain, as values of `Lock`.
+        tied : (C, spheres), driven bodies to which that domain is locked, as values of `Lock`.
         spins : (C, spheres), spins with opposite signs for neighbours, measured from the bottom.
         jump : (C, spheres), spin of the top, counted as `spins`; None where driven bodies are not in bearing states.
         shape : shape of arrays over the spheres.
@@ -99,9 +99,9 @@ class RigidDomains:
         domain = refined(labels)
         spheres, first = np.bincount(domain), np.unique(domain, return_index=True)[1]
         mean = np.stack([np.bincount(domain, values) / spheres for values in spins])
-        held = mean[:, domain] if jump is None else np.where(tied == Lock.TOP, jump, mean[:, domain])
+        expected = mean[:, domain] if jump is None else np.where(tied == Lock.TOP, jump, mean[:, domain])
         jump = np.zeros_like(spins) if jump is None else jump
-        labels, spread = labels.reshape(-1, *shape), float(np.abs(spins - held).max())
+        labels, spread = labels.reshape(-1, *shape), float(np.abs(spins - expected).max())
         return cls(
             spin_axes, labels, domain.reshape(shape), spheres, mean.T, spread, tied[:, first].T, jump[:, first].T,
             bodies,
@@ -121,18 +121,19 @@ class RigidDomains:
     def kind(self) -> np.ndarray:
         """(domains D,) the kind of each rigid domain, as an index in `locks`: to which driven bodies slipless contacts
         join it in its components."""
-        own = [(self.lock >> body & 1 > 0).all(axis=1) for body in range(len(self.bodies))]
-        held, several = self.lock != Lock.NEITHER, np.sum(own, axis=0) > 1
-        answers = [several, *own, held.all(axis=1), held.any(axis=1)]
-        count = len(own)
-        return np.select(answers, [count, *range(count), count + 1, count + 2], count + 3)
+        count = len(self.bodies)
+        to_body = [(self.lock >> body & 1 > 0).all(axis=1) for body in range(count)]  # in all components
+        is_locked, to_several = self.lock != Lock.NEITHER, np.sum(to_body, axis=0) > 1
+        # the first condition that holds counts; `locks` has the bodies, then both, mixed, partly and neither
+        conditions = [to_several, *to_body, is_locked.all(axis=1), is_locked.any(axis=1)]
+        return np.select(conditions, [count, *range(count), count + 1, count + 2], count + 3)
 
     @property
     def turn(self) -> np.ndarray:
-        """(domains D, components C) spin of each rigid domain, by component, as a share of the way from the spin of the
-        bottom (0) to that of the top (1). Where these vary over a plane, those in the layers of the domain count.
+        """(domains D, components C) staggered spin of each rigid domain, divided by that of the top: 0 rotates with the
+        bottom, 1 with the top. Where imposed spins vary over a plane, those in the layers of the domain are compared.
 
-        Domains that are locked to neither plane have 0 where both spins are the same.
+        Domains that are locked to neither plane have 0 where bottom and top have the same spin.
         """
         share = np.divide(self.staggered, self.jump, out=np.zeros_like(self.staggered), where=self.jump != 0)
         return np.where(self.lock == Lock.TOP, 1.0, np.where(self.lock == Lock.NEITHER, share, 0.0))
@@ -149,10 +150,10 @@ class RigidDomains:
     def spheres_of_kind(self, counted: np.ndarray) -> dict[str, int]:
         """Return the number of spheres in domains of each kind, by name.
 
-        counted : mask of the spheres that count, in the shape of the lattice or (spheres,).
+        counted : mask of the spheres that are counted, in the shape of the lattice or (spheres,).
         """
-        each = np.bincount(self.kind[self.domain[counted]], minlength=len(self.locks))
-        return dict(zip(self.locks, each.tolist(), strict=True))
+        number = np.bincount(self.kind[self.domain[counted]], minlength=len(self.locks))
+        return dict(zip(self.locks, number.tolist(), strict=True))
 
 
 def rigid_domains(network: SliplessNetwork, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> RigidDomains:
@@ -163,14 +164,18 @@ def rigid_domains(network: SliplessNetwork, staggered: np.ndarray, spin_axes: tu
     spin_axes : numbers of the C components.
     """
     top = staggered[..., -1].reshape(len(spin_axes), -1)
-    uneven = bool((top != top[:, :1]).any())
-    labels, tied = np.stack([_of_component(network, component, uneven) for component in spin_axes], axis=1)
-    above = np.repeat(top, network.shape[-1], axis=1)  # each sphere
-    return RigidDomains.of(spin_axes, labels, tied, staggered.reshape(len(spin_axes), -1), above, network.shape)
+    is_uneven = bool((top != top[:, :1]).any())
+    labels, tied = np.stack([_domains_of_component(network, k, is_uneven) for k in spin_axes], axis=1)
+    jump = np.repeat(top, network.shape[-1], axis=1)  # for each sphere that of the driven sphere above it
+    return RigidDomains.of(spin_axes, labels, tied, staggered.reshape(len(spin_axes), -1), jump, network.shape)
 
 
 def domains_of_packing(
-    network: SliplessNetwork, signed_speeds: np.ndarray, states: np.ndarray | None, near: float, axes: tuple[int, ...]
+    network: SliplessNetwork,
+    signed_speeds: np.ndarray,
+    states: np.ndarray | None,
+    tolerance: float,
+    axes: tuple[int, ...],
 ) -> RigidDomains:
     """Return the rigid domains of a sample of a packing, found from its spins.
 
@@ -181,86 +186,87 @@ def domains_of_packing(
     signed_speeds : (spheres N, components C), sign * radius * spin, length/time.
     states : (2, N, C), sign * radius * spin of all spheres if they rotated with the first, or with the second, of two
         driven bodies; None if there are not two bodies in bearing states.
-    near : difference of speeds within a domain that rounding may cause, length/time.
+    tolerance : difference of speeds within a domain that rounding may cause, length/time.
     axes : numbers of the components that are compared.
     """
     piece, whole, largest = network.component, network.whole, np.abs(signed_speeds).max(initial=0.0)
     low, high = np.zeros((2, *signed_speeds.shape)) if states is None else states
-    # spheres with the bearing state of a body are one domain, though their speeds may differ: two values stand for them
-    apart = 4 * largest
+    # spheres in the bearing state of a body are one domain though their speeds differ: all of them get one value, which
+    # lies beyond all speeds
+    beyond = 4 * largest
     values = np.where(
-        np.abs(signed_speeds - low) <= near,
-        -apart,
-        np.where(np.abs(signed_speeds - high) <= near, apart, signed_speeds),
+        np.abs(signed_speeds - low) <= tolerance,
+        -beyond,
+        np.where(np.abs(signed_speeds - high) <= tolerance, beyond, signed_speeds),
     )
-    labels = np.stack(
-        [_near_values_grouped(piece, (signed_speeds if states is None else values)[:, k], near) for k in axes]
-    )
+    compared = signed_speeds if states is None else values
+    labels = np.stack([_near_values_grouped(piece, compared[:, k], tolerance) for k in axes])
     # a domain is locked to the bodies of the driven spheres in it, one bit for each body
-    held = np.flatnonzero(~whole.free)
-    bodies, body = np.unique(whole.body[held], return_inverse=True)
+    driven = np.flatnonzero(~whole.free)
+    bodies, body = np.unique(whole.body[driven], return_inverse=True)
     tied = np.zeros((len(axes), len(signed_speeds)), dtype=np.int64)
     for lock, label in zip(tied, labels, strict=True):
-        np.bitwise_or.at(lock, label[held], 1 << np.minimum(body, MOST_BODIES))
-    tied = np.take_along_axis(tied, labels, axis=1)
+        np.bitwise_or.at(lock, label[driven], 1 << np.minimum(body, MOST_BODIES))
+    tied = np.take_along_axis(tied, labels, axis=1)  # from domains to their spheres
     jump = (high - low)[:, axes].T
     jump[np.abs(jump) <= SAME_STATE * largest] = 0.0  # rounding of states that agree
     names = ("bottom", "top") if len(bodies) == 2 else tuple(f"body {number}" for number in bodies[:MOST_BODIES])
-    above = (signed_speeds - low)[:, axes].T
-    return RigidDomains.of(axes, labels, tied, above, None if states is None else jump, piece.shape, names)
+    above_low = (signed_speeds - low)[:, axes].T
+    return RigidDomains.of(axes, labels, tied, above_low, None if states is None else jump, piece.shape, names)
 
 
-def _near_values_grouped(piece: np.ndarray, values: np.ndarray, near: float) -> np.ndarray:
-    """Return labels (spheres,) that divide spheres into groups of nearly equal values. The values in a connected piece
-    are sorted; a new group begins wherever two successive ones differ by more than `near`.
+def _near_values_grouped(piece: np.ndarray, values: np.ndarray, tolerance: float) -> np.ndarray:
+    """Return the group (spheres,) of each sphere: spheres of one connected piece with nearly equal values.
 
     piece : (spheres,), number of the connected piece of each sphere.
     values : (spheres,), the values that are compared.
-    near : largest gap between successive values of a group.
+    tolerance : largest gap between successive values of a group, once those of a piece are sorted.
     """
     order = np.lexsort([values, piece])
-    new = (np.diff(piece[order], prepend=-1) != 0) | (np.diff(values[order], prepend=np.inf) > near)
+    begins = (np.diff(piece[order], prepend=-1) != 0) | (np.diff(values[order], prepend=np.inf) > tolerance)
     label = np.empty(len(piece), dtype=np.int64)
-    label[order] = np.cumsum(new) - 1
+    label[order] = np.cumsum(begins) - 1
     return label
 
 
 def refined(labels: np.ndarray) -> np.ndarray:
-    """Return labels (spheres,) that are equal for two spheres if all their labels in `labels` are equal; 0 is the
-    largest group.
+    """Return the class (spheres,) of each sphere in the common refinement of several divisions: two spheres share it
+    if they share their part in every division. Classes are numbered by falling size.
 
-    labels : (components C, spheres).
+    labels : (components C, spheres), number of the part of each sphere in each of the C divisions.
     """
     together = np.unique(labels, axis=1, return_inverse=True)[1].ravel()
-    order = np.argsort(-np.bincount(together), kind="stable")
-    return np.asarray(np.argsort(order)[together])
+    by_size = np.argsort(-np.bincount(together), kind="stable")
+    rank = np.argsort(by_size)  # the inverse permutation
+    return np.asarray(rank[together])
 
 
-def _of_component(network: SliplessNetwork, component: int, uneven: bool) -> tuple[np.ndarray, np.ndarray]:
+def _domains_of_component(network: SliplessNetwork, component: int, is_uneven: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return two arrays (spheres,): the number of the domain of each sphere in one spin component, and the driven
     planes to which that domain is locked, as `Lock`.
 
     network : the slipless contacts.
     component : number of the component.
-    uneven : True if the imposed spins vary along a driven plane. Then each layer across the axis of the component has a
-        bottom body and a top body of its own.
+    is_uneven : True if the imposed spins vary along a driven plane. Then each layer across the axis of the component
+        has a bottom body and a top body of its own.
     """
     # contacts along the axis of the component do not slip by it and join nothing
     chosen = network.axis != component
-    if not uneven:
+    if not is_uneven:
         pieces = network.pieces(chosen)
-        own, bottom, top = pieces[network.body], pieces[0], pieces[-1]
-        return own, Lock.BOTTOM * (own == bottom) + Lock.TOP * (own == top)
+        piece, bottom, top = pieces[network.body], pieces[0], pieces[-1]
+        return piece, Lock.BOTTOM * (piece == bottom) + Lock.TOP * (piece == top)
     # two nodes for each layer across the axis stand for its bottom and its top spheres
     shape, spheres = network.shape, network.whole.spheres
     layer = np.indices(shape)[component]
-    body = np.arange(spheres).reshape(shape)
-    planes = spheres + 2 * layer
-    body[..., 0], body[..., -1] = planes[..., 0], planes[..., -1] + 1
-    ends, bodies = body.ravel()[network.ends[:, chosen]], spheres + 2 * shape[component]
-    graph = csr_array((np.ones(ends.shape[1], dtype=np.int8), (ends[0], ends[1])), shape=(bodies, bodies))
+    node = np.arange(spheres).reshape(shape)
+    bottom_node = spheres + 2 * layer
+    top_node = bottom_node + 1
+    node[..., 0], node[..., -1] = bottom_node[..., 0], top_node[..., -1]
+    ends, nodes = node.ravel()[network.ends[:, chosen]], spheres + 2 * shape[component]
+    graph = csr_array((np.ones(ends.shape[1], dtype=np.int8), (ends[0], ends[1])), shape=(nodes, nodes))
     pieces = connected_components(graph, directed=False)[1]
-    own, bottom, top = (pieces[of].ravel() for of in (body, planes, planes + 1))
+    piece, bottom, top = (pieces[of].ravel() for of in (node, bottom_node, top_node))
     # all spheres locked to the bottom are one domain, and all locked to the top another
-    label = np.unique(np.where(own == bottom, 0, np.where(own == top, 1, own + 2)), return_inverse=True)[1]
-    return label, Lock.BOTTOM * (own == bottom) + Lock.TOP * (own == top)
+    label = np.unique(np.where(piece == bottom, 0, np.where(piece == top, 1, piece + 2)), return_inverse=True)[1]
+    return label, Lock.BOTTOM * (piece == bottom) + Lock.TOP * (piece == top)
