@@ -31,7 +31,9 @@ class GridCuts(Part):
     staggered, force, states : (1, R samples, *N spheres) spins with signs that alternate between neighbours, 1/time;
         (1, R, E contacts) contact forces; and (R, E) contact states.
     tied : (R, planes), number of contacts that are in some but not in all minimum cuts.
-    next_over_minimum : (R, planes), weight of the lightest other cut over that of the minimum cut.
+    weight, further : (R, planes), weight of the minimum cut, and by how much the lightest other one is heavier, both
+        times the imposed spin difference: proportional to their powers. `further` is infinite where there is no other
+        cut, and not-a-number where it is not known.
     """
 
     def __init__(self, scene: Scene, spin_axes: tuple[int, ...], spin: np.ndarray) -> None:
@@ -49,7 +51,7 @@ class GridCuts(Part):
         self.top = self.scene.lattice.by_plane(scene.top_spin(self.spin_axes)[..., None], self.component)[0, :, 0, 0]
         planes = len(self.top)
         self.tied = np.zeros((scene.replicas, planes), dtype=np.int64)
-        self.next_over_minimum = np.full((scene.replicas, planes), np.inf)
+        self.weight, self.further = np.zeros(self.tied.shape), np.full(self.tied.shape, np.inf)
         self.iteration = 0
 
     def advance(self, steps: int) -> None:
@@ -80,10 +82,9 @@ class GridCuts(Part):
             self._store(sideways, where, along, cuts.sideways_flow, cuts.sideways_tied)
             self._store(height, where, upward, cuts.upward_flow, cuts.upward_tied)
             self.tied[where] = cuts.tied
-            joined = cuts.weight > 0
-            self.next_over_minimum[where] = np.divide(
-                cuts.next_weight, cuts.weight, out=np.full(len(joined), np.inf), where=joined
-            )
+            jump = abs(self.top[plane[part]])
+            self.weight[where] = cuts.weight * jump
+            self.further[where] = np.where(cuts.weight > 0, (cuts.next_weight - cuts.weight) * jump, np.inf)
 
     def _store(
         self, axis: int, where: tuple[np.ndarray, np.ndarray], cut: np.ndarray, flow: np.ndarray, tied: np.ndarray
@@ -101,19 +102,28 @@ class GridCuts(Part):
         states = self.scene.lattice.by_plane(self.scene.lattice.by_axis(self.states)[axis], self.component)
         states[where] = np.where(tied, ContactState.TIED, np.where(cut, ContactState.SLIPPING, states[where]))
 
+    def _next_over_minimum(self) -> np.ndarray:
+        """Return the power of the second lightest cut over that of the lightest, (R samples,): 1 where a plane has two
+        lightest cuts, above 1 elsewhere, infinite without another cut, and not-a-number where it is not known.
+        """
+        least = np.where((self.further == 0).any(axis=1), 0.0, self.further.min(axis=1))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = 1 + least / self.weight.sum(axis=1)
+        return np.where(least > 0, np.maximum(ratio, np.nextafter(1.0, 2.0)), ratio)
+
     def progress(self) -> Progress:
         """Return the progress: the start before the first iteration; after it the minimum, with forces, contact states
         and lower bound.
 
         It has two findings, (R samples,): `cut_is_unique`, True if each plane has one minimum cut, and
-        `next_cut_over_minimum`, the weight of the second lightest cut over that of the lightest, the least of all
-        planes.
+        `next_cut_over_minimum`, the power of the second lightest cut over that of the lightest. A cut of a cubic
+        lattice is a cut of every plane, and the second lightest differs from the lightest in one plane.
         """
         scene, axes, cut = self.scene, self.spin_axes, self.iteration > 0
         unique = self.tied.sum(axis=1) == 0
         findings = {
             "cut_is_unique": unique,
-            "next_cut_over_minimum": self.next_over_minimum.min(axis=1),
+            "next_cut_over_minimum": self._next_over_minimum(),
         }
         return Progress(
             iteration=self.iteration,

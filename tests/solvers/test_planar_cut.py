@@ -7,6 +7,7 @@ import pytest
 from scipy.optimize import linprog
 from scipy.sparse import coo_array, hstack, identity, vstack
 
+from taichi_bearings.analysis.structure import find_interface
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.result import Result
 from taichi_bearings.runs.settings import RunSettings
@@ -153,10 +154,26 @@ def test_ties_of_one_plane_leave_the_states_of_the_others_proven():
     assert (tied[:, :2] == (1, 1)).all()
 
 
-def test_a_cubic_lattice_is_as_unique_as_its_least_unique_plane():
+def test_the_second_lightest_cut_of_a_cubic_lattice_differs_in_one_plane():
+    """Planes x = const slip by themselves, so the cheapest other cut is another one of a single plane."""
     scene = make_scene((3, 6, 7), direction=(1, 0, 0))
-    planes = [solved(_plane(scene, x)).findings["next_cut_over_minimum"][0] for x in range(3)]
-    assert solved(scene).findings["next_cut_over_minimum"][0] == min(planes)
+    planes = [solved(_plane(scene, x)) for x in range(3)]
+    powers = np.array([plane.power[0] for plane in planes])
+    more = powers * [plane.findings["next_cut_over_minimum"][0] - 1 for plane in planes]
+    found = solved(scene).findings["next_cut_over_minimum"][0]
+    assert found == pytest.approx(1 + more.min() / powers.sum(), rel=1e-12)
+    assert found == pytest.approx(find_interface(scene).next_over, rel=1e-12)
+
+
+def test_a_tie_of_one_plane_is_a_tie_of_a_periodic_lattice():
+    """Of the other planes it is not known how much heavier their second cuts are, which then does not matter."""
+    scene = make_scene((3, 4, 5), direction=(1, 0, 0), periodic=("y",))
+    coefficients = [values.copy() for values in scene.coefficients]
+    for axis in (1, 2):
+        coefficients[axis][:, 1] = 0.3
+    solution = solved(replace(scene, coefficients=tuple(coefficients)))
+    assert not solution.findings["cut_is_unique"][0]
+    assert solution.findings["next_cut_over_minimum"][0] == 1
 
 
 def _plane(scene, x):
