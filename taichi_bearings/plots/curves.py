@@ -181,7 +181,7 @@ def draw_histogram(histogram: PowerHistogram, page: Page = PAGE, where: Sequence
         axes.errorbar(centre, count, error, fmt="o", ms=2.5, color=style.BLUE, elinewidth=0.8)
         axes.set_ylim(0.5, 2 * histogram.count.max())
     else:
-        axes.text(0.5, 0.5, "no contact slips", transform=axes.transAxes, ha="center")
+        axes.text(0.5, 0.5, "no slipping contacts", transform=axes.transAxes, ha="center")
     style.fix_minor_ticks(axes)
     whose = f" in {histogram.census}\n" if histogram.census.asked > 1 else " "
     threshold = histogram.slip_threshold

@@ -289,7 +289,7 @@ def _draw_contacts(axes: Axes, network: SliplessNetwork, view: View, width: floa
             chosen, words = chosen & behind(lattice, view), "; drawn: the sides behind"
             colour[:, 3] = 0.7
     if not chosen.any():
-        axes.text(0.5, 0.5, "every contact slips", transform=axes.transAxes, ha="center", va="center")
+        axes.text(0.5, 0.5, "no contact is slipless", transform=axes.transAxes, ha="center", va="center")
     sheet.draw(axes, chosen, colors=colour, lw=line, label="slipless contacts")
     if len(path := network.shortest_path):
         wide = float(np.clip(20.0 / max(lattice.shape), 0.9, 1.8))

@@ -12,10 +12,12 @@ from matplotlib.colors import to_rgba
 from taichi_bearings_studies.paper.figure_3 import draw_plane_cuts
 
 import taichi_bearings as tb
+from taichi_bearings.analysis.histogram import count_powers, pool
 from taichi_bearings.analysis.slipless_network import SliplessNetwork
 from taichi_bearings.analysis.structure import Structure
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.plots.bearing import SPIN_COLOURS, Sheet
+from taichi_bearings.plots.curves import draw_histogram
 from taichi_bearings.plots.page import VIEW
 from taichi_bearings.plots.structure import REACHED_COLOURS, contact_colours, draw_domains, draw_network
 from taichi_bearings.plots.style import GREY, describe
@@ -211,3 +213,16 @@ def test_titles_say_where_the_coefficients_come_from(tmp_path):
     for scene in (found.solution.scene, tb.load(tmp_path / "run").scene):
         assert describe(scene).endswith(r"coefficients of my\$x.npz")
         assert "seed" not in describe(scene)
+
+
+def test_figures_without_lines_or_bins_say_nothing_of_tied_contacts():
+    """Two columns of three discs apart from each other, with equal friction above and below: both contacts of a column
+    are tied. So none is slipless, and none is sure to slip."""
+    scene = tb.Scene(coefficients=(np.zeros((1, 3)), np.full((2, 2), 0.5)))
+    best = tb.solve(scene, threads=1)
+    assert (best.tied, best.slipping, best.slipless) == (4, 0, 0)
+    network = draw_network(tb.analyse(best).structure)
+    assert "no contact is slipless" in [text.get_text() for axes in network.axes for text in axes.texts]
+    solution = best.solution
+    histogram = draw_histogram(pool(count_powers(solution.power_per_contact, solution.state), slip_threshold=0.0))
+    assert "no slipping contacts" in [text.get_text() for axes in histogram.axes for text in axes.texts]
