@@ -17,7 +17,7 @@ LABELS = {
     "driven": "driven spheres",
     "bodies": "driven bodies (spheres driven together)",
     "parts": "parts without contact to each other",
-    "floating": "parts without a driven sphere",
+    "floating": "parts of several spheres without a driven one",
     "rattlers": "free spheres without contact",
     "free_dangling": "free spheres with one contact",
     "bipartite": "all loops even (neighbours can turn oppositely)",
@@ -26,6 +26,7 @@ LABELS = {
     "all_motions": "motions without slip, all spheres free",
     "decided_by": "how these motions were counted",
     "bearing_state": "bearing state: can all spin without slip",
+    "idle_contacts": "contacts without normal force, counted here too",
 }
 """Words for keys of the report that do not say enough by themselves."""
 
@@ -42,7 +43,7 @@ def command(packing: Path | None, quantities: bool, as_json: bool) -> None:
     """Show versions, devices, precision and cache; or what the file PACKING holds, before anything is solved.
 
     Of a packing it shows its connected parts, odd loops, and how many motions without any slip it has, which tells
-    whether a bearing state exists. docs/packings.md says more.
+    whether a bearing state exists; contacts without normal force count as all others. docs/packings.md says more.
 
     \b
     Examples:
@@ -73,6 +74,8 @@ def command(packing: Path | None, quantities: bool, as_json: bool) -> None:
             "kernel_cache": str(compiler.cache_folder() or "none"),
         }
     else:  # its structure, with what follows for a bearing
+        import numpy as np
+
         from taichi_bearings.analysis.topology import topology_of
         from taichi_bearings.scene.packing import Packing
 
@@ -81,6 +84,8 @@ def command(packing: Path | None, quantities: bool, as_json: bool) -> None:
         motions = found["all_motions"]
         bearing = "not decided" if motions is None else "yes" if motions else "none: no spins but rest are free of slip"
         report = {"packing": str(packing), "dimension": one.dimension, **found, "bearing_state": bearing}
+        if idle := int((np.broadcast_to(one.normal_force, one.contacts) <= 0).sum()):
+            report["idle_contacts"] = idle
     labels = {key: LABELS.get(key, key.replace("_", " ")) for key in report}
     widest = max(map(len, labels.values()))
     lines = [f"{labels[key]:{widest}}  {_value_in_words(value)}" for key, value in report.items()]

@@ -150,6 +150,18 @@ def test_structure_before_anything_is_solved(folder):
     assert not told["bipartite"]
     assert told["smallest_odd_loop"] == 3
     assert told["all_motions"] == 0
+    assert "idle_contacts" not in told
+
+
+def test_contacts_without_normal_force_are_named_before_a_run_leaves_them_out(tmp_path):
+    """Three discs in a row: without the second contact the middle one rolls on the first, whatever the third does."""
+    row = {"center": [[0, 0], [1, 0], [2, 0]], "contact": [[0, 1], [1, 2]], "driven": [0, -1, 1], "spin": [1.0, 0, 0.5]}
+    np.savez(tmp_path / "row.npz", **row, friction=[0.5, 0.5], normal_force=[50.0, 0.0])
+    assert json.loads(bearings("info", tmp_path / "row.npz", "--json").stdout)["idle_contacts"] == 1
+    done = bearings("info", tmp_path / "row.npz").stdout
+    assert "contacts without normal force, counted here too" in done
+    found = tb.solve(tb.Packing.load(tmp_path / "row.npz"), threads=1)
+    assert (found.contacts, found.power) == (1, 0.0)
 
 
 @pytest.mark.parametrize("options", [(), ("--method", "cundall-strack", "--duration", "0.02", "--snapshots", "0,0.02")])
