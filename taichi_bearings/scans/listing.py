@@ -166,7 +166,7 @@ def _words_of_run(values: Mapping[str, object]) -> str:
     mean = "not finite" if None in powers else f"{sum(powers) / len(powers):.9g}"
     power = f"{'mean ' * (len(powers) > 1)}P = {mean}"
     gap = "no gap" if None in gaps else f"gap {max(gaps):.1e}"
-    decided = "states proven" if all(value is True for value in proven) else "states not proven"
+    decided = "states proven" if all(value is True for value in proven) else "not all states proven"
     status = ", ".join(f"{many} {state}" if len(states) > 1 else state for state, many in Counter(states).items())
     what = f"{sized(values)} {values['law']}, {values['method']}, {seed}{driving_words(values)}"
     return f"{what}: {status}; {power}, {gap}, {decided}"

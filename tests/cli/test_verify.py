@@ -37,6 +37,15 @@ def test_a_run_is_verified_from_its_file(folder, tmp_path):
     assert "no other slips have the least power" in text
 
 
+@pytest.mark.parametrize(
+    ("law", "words"), [("coulomb", "friction"), ("viscous", "damping"), ("coulomb-viscous", "friction and damping")]
+)
+def test_the_forces_whose_balance_is_judged_are_those_of_the_law(law, words, tmp_path):
+    out = tmp_path / "run"
+    assert bearings("run", "--shape", "3,3,3", "--law", law, "--figures", "none", "--out", out).returncode == 0
+    assert f"\n  {words}: in balance" in bearings("verify", out).stdout
+
+
 def test_a_changed_number_ends_with_one(folder, tmp_path):
     path = tmp_path / "run.h5"
     shutil.copy(folder / "run.h5", path)

@@ -71,6 +71,14 @@ def test_runs_and_scans_are_told_newest_first(outputs):
     assert count_samples(outputs / "scan" / "scan.toml")[0] == len(read_plan(outputs / "scan" / "scan.toml").samples)
 
 
+def test_a_run_with_some_states_proven_is_not_said_to_have_none(tmp_path):
+    early = tb.solve(tb.Scene.random((4, 4), seed=0), "gradient-descent", iterations=4, threads=1)
+    assert 0 < early.unproven < early.contacts
+    early.save(tmp_path / "early")
+    (entry,) = entries(tmp_path)
+    assert entry.words().endswith(", not all states proven")
+
+
 def test_a_line_names_what_closes_and_drives_a_run_where_that_is_unusual(outputs, tmp_path):
     scene = tb.Scene.random((4, 4, 4), seed=1, periodic="x,y", top=(1.0, -0.5, 0.0, 0.2))
     tb.solve(scene, threads=1).save(tmp_path / "a")
