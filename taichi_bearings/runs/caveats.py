@@ -230,7 +230,7 @@ def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
     """
     number = int(solution.counts[:, ContactState.UNDECIDED].sum())
     named = ~solution.proven & (solution.state != ContactState.UNDECIDED)
-    uneven = too_uneven(solution) & ~named.any(axis=1)
+    uneven = too_uneven(solution) & ~named.any(axis=1) & ~solution.states_proven
     if uneven.any():
         of = _in_samples(uneven)
         yield f"the weakest contacts dissipate less than gap or rounding leave open{of}: only proven states are named"

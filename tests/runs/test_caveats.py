@@ -49,6 +49,13 @@ def test_what_remains_after_a_limit(solved):
     assert f"torques of {found.summary['largest_balance_residual']:.1e} were" in words_of(found, "the limit of")[0]
 
 
+def test_weak_contacts_whose_states_are_all_proven_are_not_warned_of():
+    """Driven about an axis that all but lies along x, many contacts hardly dissipate, and all the same are proven."""
+    found = tb.solve(tb.Scene.random((3, 3, 4), seed=2, direction=(1.0, 1e-15, 0.0)), threads=1)
+    assert found.states_proven
+    assert found.warnings == []
+
+
 def test_undecided_contacts_of_a_film_have_no_friction_limit():
     """A film resists every slip; without a proof one only knows that a contact slips in the answer."""
     found = tb.solve(tb.Packing.lattice("fcc", (2, 2, 2), seed=3, law="viscous"), "gradient-descent", iterations=2)
