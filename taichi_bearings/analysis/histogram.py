@@ -13,7 +13,7 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.scene.solution import ContactState, counts_of_states
 
 ENERGY_PER_TIME = "energy/time"
-# states that are counted, in this order
+# states whose contacts are counted, in the order of `SampleCounts.contacts`
 COUNTED_STATES = (ContactState.SLIPLESS, ContactState.SLIPPING, ContactState.UNDECIDED, ContactState.TIED)
 
 
@@ -21,8 +21,7 @@ COUNTED_STATES = (ContactState.SLIPLESS, ContactState.SLIPPING, ContactState.UND
 class SampleCounts:
     """Numbers of slipping contacts of S samples in B logarithmic bins of power.
 
-    first, bins_per_decade : bin number b holds powers from 10^((first + b) / bins_per_decade) up to where bin b + 1
-        begins.
+    first, bins_per_decade : whole numbers; bin b begins at the power 10^((first + b) / bins_per_decade).
     count : (S, bins B), slipping contacts in each bin.
     contacts : (S, 4), numbers of contacts that are slipless, slipping, undecided and tied (slip at some minima only).
     """
@@ -121,12 +120,12 @@ def rebinned(fine: SampleCounts, bins_per_decade: int, unit: np.ndarray) -> Samp
     bins_per_decade : bins per decade of the new bins; it must divide that of `fine`, which callers check.
     unit : (S,), the new unit of power in each sample.
 
-    Each sample is shifted by a whole number of fine bins, so its powers may be off by half a fine bin. If its unit is 1
-    it is not shifted.
+    A new unit shifts the bins of a sample by the nearest whole number of fine bins, so its powers are off by at most
+    half a fine bin.
     """
     merged = fine.bins_per_decade // bins_per_decade
-    move = np.rint(fine.bins_per_decade * np.log10(1 / unit)).astype(int)
-    number = (fine.first + move[:, None] + np.arange(fine.count.shape[1])) // merged
+    shift = np.rint(fine.bins_per_decade * np.log10(1 / unit)).astype(int)
+    number = (fine.first + shift[:, None] + np.arange(fine.count.shape[1])) // merged  # (S, fine bins): coarse bin
     if not fine.count.any():
         return SampleCounts(0, bins_per_decade, np.zeros((len(fine.count), 0), dtype=int), fine.contacts)
     used = number[fine.count > 0]
@@ -170,22 +169,22 @@ def pool(
     counts : numbers of slipping contacts of the S samples by bins of power.
     slip_threshold : largest slip speed, length/time, up to which contacts counted as slipless in one of the samples.
     units : unit of the power, as a text.
-    disorder : (S,) equal numbers for samples with the same coefficients, which depend on each other; None if all are
-        independent.
+    disorder : (S,), equal numbers for samples with the same coefficients; None if all coefficients differ.
     left_out : number of further samples that were left out, by reason; None for none.
     """
-    # samples of one disorder are summed first; errors are those of sums, and of their ratios, over independent samples
-    own = counts.count if disorder is None else _by_disorder(counts.count, disorder)
-    samples, count = len(own), counts.count.sum(axis=0)
+    # samples of one disorder depend on each other: they are summed to one independent sample
+    independent = counts.count if disorder is None else _by_disorder(counts.count, disorder)
+    samples, count = len(independent), counts.count.sum(axis=0)
     total = max(int(count.sum()), 1)
     share = count / total
     slipless, _, undecided, tied = counts.contacts.sum(axis=0).tolist()
     if samples > 1:
+        # standard errors of a sum of independent samples, and of a ratio of two such sums (to first order)
         spread = samples / (samples - 1)
-        error = np.sqrt(spread * ((own - count / samples) ** 2).sum(axis=0))
-        slipping = own.sum(axis=1, keepdims=True)
-        share_error = np.sqrt(spread * ((own - share * slipping) ** 2).sum(axis=0)) / total
-    else:
+        error = np.sqrt(spread * ((independent - count / samples) ** 2).sum(axis=0))
+        slipping = independent.sum(axis=1, keepdims=True)
+        share_error = np.sqrt(spread * ((independent - share * slipping) ** 2).sum(axis=0)) / total
+    else:  # Poisson
         error, share_error = np.sqrt(count), np.sqrt(count) / total
     return PowerHistogram(
         edges=counts.edges,

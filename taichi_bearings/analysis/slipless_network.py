@@ -1,8 +1,8 @@
 """The network of slipless contacts: which spheres it reaches, whether it joins the driven bodies, and by which paths.
 
 Edges are slipless contacts. Nodes are free spheres and driven *bodies*: a body is a set of driven spheres that rotate
-as one bearing, for a lattice the bottom or the top plane. Contacts between two spheres of a body are not edges, so a
-path starts where it leaves the body. A *piece* is a connected component of this graph.
+as one bearing, for a lattice the bottom or the top plane. Contacts between two spheres of a body are not edges. A
+*piece* is a connected component of this graph.
 
 Shapes: N spheres (the shape of a lattice, else their number), `sites` their number, E edges. Indices of spheres are in
 C order. Graph searches and flows are SciPy's.
@@ -20,7 +20,7 @@ from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.minimum_cut import number_bodies
 from taichi_bearings.scene.network import Network
 
-MOST_BODIES = 50  # between which paths are looked for
+MOST_BODIES = 50  # most driven bodies between which paths are searched for
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,9 @@ class SliplessNetwork:
 
     @cached_property
     def touched(self) -> np.ndarray:
-        """Mask of the spheres that have a slipless contact, in the shape of the lattice or (spheres,)."""
+        """Mask of the spheres that are an end of an edge (slipless contact), in the shape of the lattice or
+        (spheres,).
+        """
         return (np.bincount(self.ends.ravel(), minlength=len(self.body)) > 0).reshape(self.shape)
 
     @property
@@ -142,7 +144,7 @@ class SliplessNetwork:
 
     @property
     def components(self) -> int:
-        """Number of connected pieces that have a slipless contact."""
+        """Number of connected pieces with at least one edge: single spheres are not counted."""
         return len(np.unique(self.component[self.touched]))
 
     @property
@@ -155,9 +157,9 @@ class SliplessNetwork:
         """Mask of the spheres in connected pieces that join driven bodies, in the shape of the lattice or
         (spheres,).
         """
-        label = self.pieces()
-        several = np.bincount(label[self.driven_nodes], minlength=len(label)) > 1
-        return np.asarray(several[self.component])
+        piece = self.pieces()
+        joins_bodies = np.bincount(piece[self.driven_nodes], minlength=len(piece)) > 1  # by number of the piece
+        return np.asarray(joins_bodies[self.component])
 
     def _share_of_free(self, chosen: np.ndarray) -> Any:
         """Return the share of the free spheres that a mask selects; None without free spheres.
@@ -203,16 +205,16 @@ class SliplessNetwork:
         """
         if not self.spans or len(self.driven_nodes) > MOST_BODIES:
             return np.empty(0, dtype=int)
-        # with more than two bodies, the two that are nearest to each other
+        # of more than two bodies the two that are nearest to each other
         graph, (start, stop) = self.graph(), self.driven_nodes[[0, -1]]
         if len(self.driven_nodes) > 2:
-            far = dijkstra(graph, unweighted=True, indices=self.driven_nodes)[:, self.driven_nodes]
-            np.fill_diagonal(far, np.inf)
-            start, stop = self.driven_nodes[list(np.unravel_index(far.argmin(), far.shape))]
+            distance = dijkstra(graph, unweighted=True, indices=self.driven_nodes)[:, self.driven_nodes]
+            np.fill_diagonal(distance, np.inf)
+            start, stop = self.driven_nodes[list(np.unravel_index(distance.argmin(), distance.shape))]
         # back along the predecessors of a breadth-first search, then from nodes to spheres
-        before, nodes = breadth_first_order(graph, start, directed=False)[1], [stop]
+        predecessor, nodes = breadth_first_order(graph, start, directed=False)[1], [stop]
         while nodes[-1] != start:
-            nodes.append(before[nodes[-1]])
+            nodes.append(predecessor[nodes[-1]])
         inner = [int(np.flatnonzero(self.body == node)[0]) for node in nodes[-2:0:-1]]
         return np.array([self._driven_neighbour(inner[0], start), *inner, self._driven_neighbour(inner[-1], stop)])
 
@@ -236,12 +238,12 @@ class SliplessNetwork:
 
     @cached_property
     def on_path(self) -> np.ndarray:
-        """(contacts,) mask: True for the contacts along the shortest path between two driven bodies whose spheres
-        `path` lists.
+        """(contacts,) mask: True for contacts between successive spheres of the shortest path `path` between two
+        driven bodies.
 
         Two spheres in a ring of two have two contacts with each other, of which the first one is taken.
         """
-        place, path = np.full(len(self.body), -2), self.path
+        place, path = np.full(len(self.body), -2), self.path  # place along the path; -2 is next to no place on it
         place[path] = np.arange(len(path))
         low, high = place[self.ends]
         steps = np.flatnonzero(np.abs(low - high) == 1)
@@ -250,18 +252,18 @@ class SliplessNetwork:
 
     @property
     def path_planes(self) -> Any:
-        """For each sideways axis (x, in 3D also y) the number of different lattice positions along it that the shortest
-        slipless path from bottom to top visits, as a list; None for a packing.
+        """Numbers of lattice planes that the shortest slipless path from bottom to top visits, as a list: of planes
+        across x and, in 3D, across y. None for a packing.
         """
         return [len(np.unique(places)) for places in self.shortest_path.T[:-1]] or None
 
     def winding(self, axis: int) -> np.ndarray:
-        """Return a mask of the spheres in connected pieces that have a closed path of slipless contacts around a
-        periodic axis of the lattice, in the shape of the lattice.
+        """Return a mask of the spheres, in the shape of the lattice, in connected pieces that have a closed path of
+        slipless contacts around a periodic axis.
 
         axis : number of the axis.
 
-        Here a driven plane does not count as one node: it would always go around.
+        Here every driven sphere is a node of its own: a driven plane as one node would always go around.
         """
         over_the_side = (self.axis == axis) & (self.contact[:, axis] == self.shape[axis] - 1)
         return winding(len(self.body), self.ends, over_the_side.astype(int)).reshape(self.shape)
@@ -287,37 +289,37 @@ def winding(nodes: int, ends: np.ndarray, turns: np.ndarray) -> np.ndarray:
     turns : (edges,), whole numbers: how often an edge goes around from its first end to the second.
 
     A closed path goes around if its turns do not add up to 0. A piece without such a path can be unrolled: its nodes
-    have whole numbers (places) whose differences are the turns of the edges.
+    get heights, whole numbers whose differences are the turns of the edges.
     """
-    # edges that do not go around join nodes into parts of one place; the others join these parts (union-find)
-    still = turns == 0
-    pairs = (np.ones(still.sum()), tuple(ends[:, still]))
-    pieces, piece = connected_components(coo_array(pairs, shape=(nodes, nodes)), directed=False)
-    above, place, winds = list(range(pieces)), [0] * pieces, [False] * pieces
+    # edges that do not go around join nodes of one height to parts; union-find joins these parts by the other edges
+    level = turns == 0
+    pairs = (np.ones(level.sum()), tuple(ends[:, level]))
+    parts, part = connected_components(coo_array(pairs, shape=(nodes, nodes)), directed=False)
+    parent, height, winds = list(range(parts)), [0] * parts, [False] * parts  # height of a part above its parent
 
     def root_of(one: int) -> tuple[int, int]:
-        """Return the root of a part in the tree of parts that are joined already, and the part's place relative to that
-        root: how many turns around the axis lie between them.
+        """Return the root of a part in its tree of joined parts, and the height of the part above that root. Parts on
+        the way become children of the root.
 
         one : number of the part.
         """
-        way = []
-        while above[one] != one:
-            way.append(one)
-            one = above[one]
+        passed = []
+        while parent[one] != one:
+            passed.append(one)
+            one = parent[one]
         total = 0
-        for passed in reversed(way):
-            total += place[passed]
-            above[passed], place[passed] = one, total
+        for child in reversed(passed):
+            total += height[child]
+            parent[child], height[child] = one, total
         return one, total
 
-    for first, second, turn in zip(*piece[ends[:, ~still]].tolist(), turns[~still].tolist(), strict=True):
-        (one, at_one), (other, at_other) = root_of(first), root_of(second)
-        off = at_one + turn - at_other
+    for first, second, turn in zip(*part[ends[:, ~level]].tolist(), turns[~level].tolist(), strict=True):
+        (one, above_one), (other, above_other) = root_of(first), root_of(second)
+        difference = above_one + turn - above_other  # of the heights of the two roots, by this edge
         if one == other:
-            winds[one] |= off != 0
+            winds[one] |= difference != 0  # the edge closes a path that goes around
         else:
-            above[other], place[other] = one, off
+            parent[other], height[other] = one, difference
             winds[one] |= winds[other]
-    found: np.ndarray = np.array([winds[root_of(one)[0]] for one in range(pieces)])[piece]
+    found: np.ndarray = np.array([winds[root_of(one)[0]] for one in range(parts)])[part]
     return found

@@ -32,7 +32,7 @@ class Estimate:
     """A number with its confidence interval, from `low` to `high`, which holds the true value with probability
     CONFIDENCE.
 
-    Both ends are not-a-number where there is no interval, as with too few samples.
+    Both ends are not-a-number where there is no interval, for example with too few samples.
     """
 
     value: float
@@ -105,6 +105,7 @@ def ratio_interval(numerator: np.ndarray, denominator: np.ndarray) -> Estimate:
         value = float(above.mean() / below.mean())
     if number < LEAST_SAMPLES or not np.isfinite(value):
         return Estimate(value, np.nan, np.nan)
+    # all samples have the same ratio but for rounding
     if np.abs(above - value * below).max() <= 8 * np.finfo(float).eps * np.abs(above).max():
         return Estimate(value, value, value)
     interval = _bootstrap if FEW_SAMPLES <= number <= MANY_SAMPLES else _student
@@ -115,9 +116,11 @@ def _student(above: np.ndarray, below: np.ndarray) -> tuple[float, float]:
     """Return the confidence interval (low, high) of mean(above) / mean(below), by Fieller's theorem (J. R. Stat. Soc. B
     16, 175, 1954).
 
-    above, below : (samples,), numerators and denominators. The interval holds all ratios r for which Student's t of
-        above - r * below does not exclude 0. It is (NaN, NaN) where that does not exclude that mean(below) is 0. With
-        below = 1 it is Student's interval of a mean.
+    above, below : (samples,), numerators and denominators.
+
+    The interval holds all ratios r at which Student's t test of above - r * below does not exclude a mean of 0: between
+    the roots of square r^2 - 2 linear r + constant. It is (NaN, NaN) where the test does not exclude mean(below) = 0.
+    With below = 1 it is Student's interval of a mean.
     """
     number, means = len(above), np.array([above.mean(), below.mean()])
     from scipy.special import stdtrit  # a tenth of a second that runs do not need
@@ -151,7 +154,7 @@ def _bootstrap(above: np.ndarray, below: np.ndarray) -> tuple[float, float]:
 
 
 def independent(values: np.ndarray, disorder: np.ndarray) -> np.ndarray:
-    """Return one number for each disorder (set of coefficients): the mean of the samples that share it.
+    """Return one number for each disorder (set of coefficients), (disorders,): the mean of the samples that share it.
 
     values : (samples,), numbers of the samples.
     disorder : (samples,), equal for samples with the same coefficients.
@@ -161,14 +164,13 @@ def independent(values: np.ndarray, disorder: np.ndarray) -> np.ndarray:
 
 
 def groups(columns: Mapping[str, np.ndarray], keys: Sequence[str]) -> dict[tuple[Any, ...], np.ndarray]:
-    """Return the rows of a table in groups of equal values in some of its columns: the numbers of the rows of each
-    group, rising, by the tuple of these values.
+    """Return the numbers of the rows of a table in groups, by the tuple of values that a group shares in some columns.
 
     columns : arrays of equal lengths by name.
     keys : names of the columns to group by.
 
-    Values are the same if they are equal to the last bit; not-a-number counts as one value, None. Groups are in the
-    order of their values: numbers rise, texts too, numbers within texts (8x8 before 10x10) by size.
+    Numbers are compared exactly; not-a-number counts as one value, None. Groups are in the order of
+    `sort_key` of their values, and the rows of each in rising order.
     """
     rows: dict[tuple[Any, ...], list[int]] = {}
     listed = [[_plain(value) for value in columns[key].tolist()] for key in keys]
@@ -179,7 +181,7 @@ def groups(columns: Mapping[str, np.ndarray], keys: Sequence[str]) -> dict[tuple
 
 def sort_key(value: object) -> tuple[Any, ...]:
     """Return a key by which `sorted` puts values of a column in order: first None, then truth values and numbers, then
-    texts, in which numbers count by their size (8x8 before 10x10).
+    texts, where numbers within texts are compared by size (8x8 before 10x10).
 
     value : one value of the column.
     """

@@ -1,8 +1,7 @@
 """The structure of one sample, of a lattice or a packing: networks, domains, bottlenecks, and the flow of torque.
 
-Each part is computed when it is first asked for. Lattices and packings are treated alike, as networks of contacts; a
-lattice has simpler ways to two results that packings need a search for: the rigid domains, and the number of loops
-around which torque can circulate.
+Each part is computed when it is first asked for. Lattices and packings are treated alike, as networks of contacts. Only
+the rigid domains, and the number of loops around which torque can circulate, are found in a simpler way on lattices.
 
 **Torque.** Let s be signs by which neighbours differ. Then s times the force that a contact exerts on u = R omega is a
 current of each component, from one of its spheres to the other. No free sphere stores any of it; it enters at one
@@ -47,10 +46,10 @@ class TorqueFlow:
     """The torque that drives a sample, and the power that it brings into the network of contacts.
 
     total : (components C,), force * length: torque that drives the top plane, or the second of two bodies, by spin
-        component; the other body is held against it. With fewer or more than two bodies (bodies, C), that on each.
-        Torques on neighbours count with opposite signs.
-    power : (bodies,), power that each body spends, energy/time. If the forces are those that prove the lower bound of
-        the Coulomb law, it is a lower bound too.
+        component. With fewer or more than two bodies (bodies, C), the torque on each. Torques on neighbouring spheres
+        are added with opposite signs.
+    power : (bodies,), power that each body spends, energy/time. For the forces that prove the lower bound of the
+        Coulomb law, the sum is a lower bound, too.
     slipless_share : share of the power between two bodies that slipless contacts carry; 0 without power, None where the
         two bodies are not in bearing states.
     """
@@ -136,7 +135,7 @@ class Structure:
 
     @property
     def states_proven(self) -> bool:
-        """True if the state of every contact is proven: to hold at every state of least power."""
+        """True if the state of every contact is proven, for all states of least power."""
         return self.threshold is None and bool(self.answer.states_proven[0])
 
     @property
@@ -243,58 +242,58 @@ class Structure:
             if self.whole.lattice is not None:
                 axes = self.scene.minimum_spin_axes
                 return rigid_domains(self.network, self.scene.staggered_spin(self.spin[None], axes)[:, 0], axes)
-            near = max(
-                SAME_STATE * np.abs(self.signed_speeds).max(initial=0.0), 2 * self.slip[self.slipless].max(initial=0.0)
-            )
-            return domains_of_packing(
-                self.network, self.signed_speeds, self.states, near, self._slipping_components(near)
-            )
+            # speeds of one domain may differ by rounding, or by twice the slip of a slipless contact
+            rounding = SAME_STATE * np.abs(self.signed_speeds).max(initial=0.0)
+            tolerance = max(rounding, 2 * self.slip[self.slipless].max(initial=0.0))
+            axes = self._slipping_components(tolerance)
+            return domains_of_packing(self.network, self.signed_speeds, self.states, tolerance, axes)
 
     @cached_read_only
     def domain(self) -> np.ndarray:
         """Label of the rigid domain of each sphere, in the shape of the lattice or (spheres,); 0 is the largest one."""
         return self.rigid_domains.domain
 
-    def _slipping_components(self, near: float) -> tuple[int, ...]:
-        """Return the numbers of the spin components in which some contact slips by more than `near`, length/time; all
-        if none does.
+    def _slipping_components(self, tolerance: float) -> tuple[int, ...]:
+        """Return the numbers of the spin components in which some contact slips; all if none does.
 
-        near : slip speed, length/time, up to which a contact counts as not slipping.
+        tolerance : slip speed, length/time, up to which a contact does not slip.
         """
-        acts = self.state != ContactState.DRIVEN
-        both, normal = self.speeds(self.spin)[self.whole.contact[:, acts]].sum(axis=0), self.whole.normal[acts]
+        can_slip = self.state != ContactState.DRIVEN
+        # slip velocity u x n, as large as u without its part along n: u sums radius * spin of both, n is the normal
+        u, normal = self.speeds(self.spin)[self.whole.contact[:, can_slip]].sum(axis=0), self.whole.normal[can_slip]
         if self.whole.dimension == 3:
-            both = both - normal * (both * normal).sum(axis=1)[:, None]
-        slips = np.abs(both).max(axis=0, initial=0.0) > near
+            u = u - normal * (u * normal).sum(axis=1)[:, None]
+        slips = np.abs(u).max(axis=0, initial=0.0) > tolerance
         return tuple(np.flatnonzero(slips | ~slips.any()).tolist())
 
     @cached_property
     def torque_flow(self) -> TorqueFlow:
         """The torque on the driven bodies, the power they spend, and the share of it that slipless contacts carry.
 
-        Torque flows through the contacts from one body to the other. A contact carries the part of the power that
-        belongs to its part of the way: its force times the difference of the imposed speeds of both bodies, times the
-        difference of the heights, 0 at one body and 1 at the other, of its spheres. These parts add up to the power.
+        Torque flows through the contacts from one body to the other. The share of a contact in the power is its force
+        times the difference of the imposed speeds of both bodies, times the difference of the heights of its spheres,
+        where the height is 0 at one body and 1 at the other. These shares add up to the power.
         """
         whole, imposed, (odd, sign) = self.whole, self.scene.driven_speed, self.signs
         first, second = whole.contact
         friction, sign = self.friction, np.where(odd, 1, sign)
-        pull = friction[:, None] if whole.dimension == 2 else np.cross(whole.normal, friction)
-        pull = np.where((self.state != ContactState.DRIVEN)[:, None], pull, 0.0)
-        # force on u = R omega of each sphere, summed over its contacts
-        drive, held = np.zeros(imposed.shape), np.flatnonzero(~whole.free)
+        # the force of a contact that is conjugate to u = R omega; it is the same for both spheres
+        force = friction[:, None] if whole.dimension == 2 else np.cross(whole.normal, friction)
+        force = np.where((self.state != ContactState.DRIVEN)[:, None], force, 0.0)
+        # sum over the contacts of each sphere
+        on_sphere, driven = np.zeros(imposed.shape), np.flatnonzero(~whole.free)
         for end in (first, second):
-            np.add.at(drive, end, pull)
-        # torque on each body without the signs of the sublattices, and power that it spends
-        bodies, body = np.unique(whole.body[held], return_inverse=True)
-        total, spent = np.zeros((len(bodies), pull.shape[1])), (drive * imposed).sum(axis=1)
-        np.add.at(total, body, (sign * whole.radius)[held, None] * drive[held])
-        power, share = np.bincount(body, spent[held], len(bodies)), None
+            np.add.at(on_sphere, end, force)
+        # torque on each body, summed with signs by which neighbours differ, and power that it spends
+        bodies, body = np.unique(whole.body[driven], return_inverse=True)
+        total, spent = np.zeros((len(bodies), force.shape[1])), (on_sphere * imposed).sum(axis=1)
+        np.add.at(total, body, (sign * whole.radius)[driven, None] * on_sphere[driven])
+        power, share = np.bincount(body, spent[driven], len(bodies)), None
         if self.states is not None:
-            # power carried by each contact: its current, times the fraction of the height, times the jump of the states
+            # share of each contact: force, times difference of the heights, times difference of the imposed speeds
             height = self.scene.driving.heights
             drop = sign[first] * (height[first] - height[second])
-            carried = (pull * drop[:, None] * (self.states[1] - self.states[0])[first]).sum(axis=1)
+            carried = (force * drop[:, None] * (self.states[1] - self.states[0])[first]).sum(axis=1)
             share = float(carried[self.slipless].sum() / carried.sum()) if carried.sum() else 0.0
         needed = list(self.scene.minimum_spin_axes) if whole.components > 1 else [0]
         return TorqueFlow(total[-1, needed] if len(bodies) == 2 else total, power, share)
@@ -313,8 +312,8 @@ class Structure:
 
     @cached_property
     def self_stress(self) -> int | None:
-        """Number of independent forces on slipless contacts that balance by themselves (states of self-stress), so that
-        contact forces are not unique; None if rounding hides it.
+        """Number of states of self-stress: independent sets of forces on slipless contacts that balance by themselves.
+        If there are any, contact forces are not unique. None if rounding leaves the number open.
         """
         with stage("counting contact forces that balance without a load"):
             chosen, axes = np.flatnonzero(self.slipless), self.rigid_domains.spin_axes
@@ -332,9 +331,7 @@ class Structure:
         return of_run | {n: plain(v) for n, v in found.items() if v is not None or n not in MAY_BE_ABSENT}
 
     def _rows(self) -> Iterator[Quantity]:
-        """Yield the quantities, rows of the table STRUCTURE, that this sample has: all but those of bottlenecks where
-        there are none.
-        """
+        """Yield the rows of the table STRUCTURE, without those of bottlenecks if this sample has no bottlenecks."""
         for section, rows in STRUCTURE.items():
             if section != "bottlenecks" or self.bottlenecks is not None:
                 yield from rows
@@ -367,7 +364,7 @@ def self_stress(network: SliplessNetwork, spin_axes: tuple[int, ...]) -> np.ndar
     states = []
     for component in spin_axes:
         carries = network.axis != component
-        joined = np.unique(network.body[network.ends[:, carries]])
-        domains = np.unique(network.pieces(carries)[joined])
-        states.append(int(carries.sum()) - (len(joined) - len(domains)))
+        nodes = np.unique(network.body[network.ends[:, carries]])
+        pieces = np.unique(network.pieces(carries)[nodes])
+        states.append(int(carries.sum()) - (len(nodes) - len(pieces)))
     return np.array(states)

@@ -1,7 +1,6 @@
 """The topology of a network of contacts, before anything is solved: its parts, its odd loops, its slipless motions.
 
-A *slipless motion* is a set of spins, not all 0, at which no contact slips. Letters: N spheres, n contacts that are
-looked at.
+A *slipless motion* is a set of spins, not all 0, at which no contact slips. Letter: N spheres.
 """
 
 from collections.abc import Sequence
@@ -60,52 +59,63 @@ def topology_of(bearing: Bearing) -> Topology:
     bearing : a lattice or a packing.
     """
     network = bearing.network
-    count, held = network.spheres, ~network.free
-    label = pieces(count, *network.contact)
-    sizes = np.bincount(label)
-    parts = len(sizes)
-    touched = np.zeros(parts, dtype=bool)
-    touched[label[held]] = True
+    count, free = network.spheres, network.free
+    part = pieces(count, *network.contact)
+    sizes = np.bincount(part)
+    has_driven = np.zeros(len(sizes), dtype=bool)
+    has_driven[part[~free]] = True
     degree = np.bincount(network.contact.ravel(), minlength=count)
-    free, by = slipless_number(network, ~held)
-    whole, _ = slipless_number(network, np.ones(count, dtype=bool))
+    free_motions, decided_by = slipless_number(network, free)
+    all_motions, _ = slipless_number(network, np.ones(count, dtype=bool))
     return Topology(
-        count, network.contacts, int(held.sum()), len(network.bodies), parts,
-        int((~touched & (sizes > 1)).sum()), int(((degree == 0) & ~held).sum()), int(((degree == 1) & ~held).sum()),
-        not network.sublattices[0].any(), smallest_odd_loop(network), free, whole, by,
-    )  # fmt: skip
+        spheres=count,
+        contacts=network.contacts,
+        driven=int((~free).sum()),
+        bodies=len(network.bodies),
+        parts=len(sizes),
+        floating=int((~has_driven & (sizes > 1)).sum()),
+        rattlers=int(((degree == 0) & free).sum()),
+        free_dangling=int(((degree == 1) & free).sum()),
+        bipartite=not network.sublattices[0].any(),
+        smallest_odd_loop=smallest_odd_loop(network),
+        free_motions=free_motions,
+        all_motions=all_motions,
+        decided_by=decided_by,
+    )
 
 
 def smallest_odd_loop(network: Network) -> int | None:
     """Return the number of contacts in the smallest odd loop, a closed chain of an odd number of contacts; None if
     there is none or the network is too large.
 
-    An odd loop through a sphere is a path in the double cover from the sphere to its other copy. The double cover has
-    two copies of each sphere, and each contact joins opposite copies.
+    network : the spheres and contacts of a sample.
+
+    An odd loop through a sphere is a path in the double cover from the sphere to its other copy. The double cover is a
+    graph with two copies of each sphere, in which each contact joins opposite copies.
     """
-    count, inside = network.spheres, network.sublattices[0]
-    if not inside.any():
+    count, has_odd_loops = network.spheres, network.sublattices[0]
+    if not has_odd_loops.any():
         return None
-    one = sparse.csr_array((np.ones(network.contacts, dtype=np.int8), tuple(network.contact)), shape=(count, count))
-    both = ((one + one.T) > 0).astype(np.int64)
-    if (both @ both).multiply(both).nnz:  # two neighbours of a sphere touch: a triangle
+    one_way = sparse.csr_array((np.ones(network.contacts, dtype=np.int8), tuple(network.contact)), shape=(count, count))
+    adjacent = ((one_way + one_way.T) > 0).astype(np.int64)
+    if (adjacent @ adjacent).multiply(adjacent).nnz:  # two neighbours of a sphere touch: a triangle
         return 3
-    starts = np.flatnonzero(inside)
+    starts = np.flatnonzero(has_odd_loops)
     if len(starts) > MOST_LOOPS:
         return None
-    cover = sparse.csr_array(sparse.block_array([[None, both], [both, None]]), dtype=np.float64)
-    # some odd loop gives a first limit on the length of the searches
-    first, best = int(starts[0]), 2.0 * count + 1
-    _, before = breadth_first_order(cover, first)
-    here, best = first + count, 0.0
+    cover = sparse.csr_array(sparse.block_array([[None, adjacent], [adjacent, None]]), dtype=np.float64)
+    # some odd loop, found by a breadth-first search, limits the length of the other searches
+    first = int(starts[0])
+    _, predecessor = breadth_first_order(cover, first)
+    here, shortest = first + count, 0.0
     while here != first:
-        here, best = int(before[here]), best + 1
+        here, shortest = int(predecessor[here]), shortest + 1
     # the shortest path from each sphere to its other copy, several searches at a time
     for begin in range(0, len(starts), CHUNK):
-        own = starts[begin : begin + CHUNK]
-        far = dijkstra(cover, indices=own, unweighted=True, limit=best)
-        best = min(best, float(far[np.arange(len(own)), own + count].min()))
-    return int(best)
+        chunk = starts[begin : begin + CHUNK]
+        distance = dijkstra(cover, indices=chunk, unweighted=True, limit=shortest)
+        shortest = min(shortest, float(distance[np.arange(len(chunk)), chunk + count].min()))
+    return int(shortest)
 
 
 def slipless_number(network: Network, free: np.ndarray) -> tuple[int | None, str]:
@@ -131,6 +141,7 @@ def self_stress_of(network: Network, contact: np.ndarray, components: Sequence[i
     free[network.contact[:, contact]] = True
     free &= network.free
     slips, motions, _ = _motions(network, free, contact, components)
+    # balance of torques is the transposed matrix: its rank is the number of spins less that of slipless motions
     forces = int((abs(slips).sum(axis=1) > 0).sum())
     return None if motions is None else forces - (slips.shape[1] - motions)
 
@@ -147,10 +158,10 @@ def _motions(
     components : numbers of the spin components that may be other than 0.
     """
     # the motions are the kernel of the operator: by singular values if it is small, else by sparse elimination
-    moved = np.full((network.spheres, network.components), -1)
+    column = np.full((network.spheres, network.components), -1)  # of each component of a spin; -1 if it is 0
     unknowns = int(free.sum()) * len(components)
-    moved[np.ix_(free, np.array(components))] = np.arange(unknowns).reshape(-1, len(components))
-    slips = network.operator(contact, moved)
+    column[np.ix_(free, np.array(components))] = np.arange(unknowns).reshape(-1, len(components))
+    slips = network.operator(contact, column)
     if unknowns <= DENSE_UNKNOWNS:
         sizes = np.linalg.svd(slips.toarray(), compute_uv=False) if min(slips.shape) else np.zeros(0)
         return slips, unknowns - int((sizes > RANK * sizes.max(initial=0.0)).sum()), "singular values"
