@@ -55,8 +55,8 @@ def name() -> str:
 def cache_folder() -> Path | None:
     """Return where compiled kernels are kept.
 
-    That is below the user's cache, or in a temporary folder if that cannot be written, or others can write there; None
-    where the same holds for the temporary folder. Locks that a killed compiler has left there are removed.
+    It is a folder below the user's cache; or a temporary folder if that cannot be written or others can write there; or
+    None if the temporary folder is no better. Locks that a killed compiler has left there are removed.
     """
     home = _cache_home()
     if home is None:
@@ -92,7 +92,8 @@ def _is_ours(folder: Path) -> bool:
     """Return True if `folder` and the cache in it are the user's own, nobody else can write there, and this process
     can.
 
-    That is found by writing, since access bits do not bind root. The folder is made if it is missing.
+    Whether this process can write is found by writing a file, as access bits do not bind root. The folder is made if it
+    is missing.
     """
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -166,7 +167,7 @@ def __getattr__(attribute: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {attribute!r}")
     with environment(), warnings.catch_warnings(), _lines_found_quickly():  # it adds filters of its own
         warnings.simplefilter("ignore")  # what it uses of Python is not ours to mend, even where warnings are errors
-        with standing_in("dill"):  # which finds the source of kernels that were typed into Python itself
+        with standing_in("dill"):  # which Taichi needs only for kernels that were typed into an interactive Python
             globals()["ti"] = importlib.import_module(name())
         with contextlib.suppress(ImportError):
             walker: Any = importlib.import_module(f"{name()}.lang.ast.ast_transformer_utils")

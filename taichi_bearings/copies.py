@@ -1,9 +1,9 @@
 """Starts worker processes: under Linux as copies of one process that has loaded the program, elsewhere anew.
 
 A new process takes longer to load the program than to solve a small sample; a copy is there at once. The process that
-is copied, the *original*, does nothing but load modules and wait: it has neither threads nor a runtime of Taichi, of
-both of which a copy would have a part only. It is a server of :mod:`multiprocessing`, one for each group of workers, so
-that it has the environment that they are to have.
+is copied, the *original*, does nothing but load modules and wait: it has neither threads nor a runtime of Taichi, which
+a copy would have in part only. It is a server of :mod:`multiprocessing`. Each group of workers has a server of its own,
+which has the environment that they are to have.
 """
 
 import contextlib
@@ -37,7 +37,7 @@ class Original:
     def __init__(self) -> None:
         """Prepare what starts the process, which does not run yet."""
         self._server: Any = None
-        self._is_loaded = False  # whether it surely has loaded the program
+        self._is_loaded = False  # True once the process is known to have loaded the program
         if CAN_COPY:
             from multiprocessing import forkserver
 

@@ -80,12 +80,14 @@ def restricted(parts: list[Part], node: np.ndarray, leaf: int) -> list[Part]:
     owner, parent = np.empty(size, dtype=np.intp), np.full(len(parts), -1)
     for number, part in enumerate(parts):
         owner[part.nodes], parent[part.children] = number, number
+    # new nodes of each part, and those of the part with all parts below it
     own = np.bincount(owner[node], minlength=len(parts))
-    below = own.copy()  # with all parts below
+    below = own.copy()
     for number, above in enumerate(parent.tolist()):
         if above >= 0:
             below[above] += below[number]
-    # the part that each one becomes, the highest above it that is small enough as a whole; and the next one above
+    # the part that takes its nodes: the highest one above it that has few nodes with all parts below it, else itself;
+    # and the nearest part above that has new nodes
     becomes, higher = np.arange(len(parts)), np.full(len(parts), -1)
     for number, above in reversed(list(enumerate(parent.tolist()))):
         if above < 0:
@@ -93,6 +95,7 @@ def restricted(parts: list[Part], node: np.ndarray, leaf: int) -> list[Part]:
         higher[number] = above if own[above] else higher[above]
         if below[above] <= leaf:
             becomes[number] = becomes[above]
+    # parts that have nodes are numbered anew, in their order
     of_node = becomes[owner[node]]
     number_of = np.cumsum(np.bincount(of_node, minlength=len(parts)) > 0) - 1
     order = np.argsort(of_node, kind="stable")
@@ -110,24 +113,25 @@ def _divided(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, lea
     graph : (nodes, nodes), symmetric; an entry joins two nodes.
     place : (coordinates, nodes), where the nodes lie.
     leaf : largest number of nodes of a region that is not divided.
-    whole : the same for the first regions, the connected pieces of the graph, if that is more than `leaf`.
+    whole : largest number of nodes of a connected piece of the graph that is not divided, if that is more than `leaf`.
     """
     count = graph.shape[0]
     second = np.repeat(np.arange(count), np.diff(graph.indptr))
+    # each edge once, and the connected pieces, which are the first regions
     once = graph.indices > second
     first, second = graph.indices[once].astype(np.intp), second[once]
     begin = np.append(0, np.cumsum(np.bincount(second, minlength=count)))
-    alone, own = connected_components(
+    pieces, region = connected_components(
         sparse.csr_array((np.ones(len(first)), first, begin), shape=graph.shape), directed=False
     )
     ordered = np.argsort(place, axis=1, kind="stable")  # active nodes along each axis
-    parent, part, active = [np.full(alone, -1)], np.empty(count, dtype=np.int64), np.arange(count)
+    parent, part, active = [np.full(pieces, -1)], np.empty(count, dtype=np.int64), np.arange(count)
     most = max(leaf, whole)  # nodes of a region of this level that is not divided
     while True:
         # regions are numbered from 0 on a level, parts from `first_part` on
         first_part = sum(map(len, parent)) - len(parent[-1])
-        part[active] = first_part + own[active]
-        active, most = active[np.bincount(own[active], minlength=1)[own[active]] > most], leaf
+        part[active] = first_part + region[active]
+        active, most = active[np.bincount(region[active], minlength=1)[region[active]] > most], leaf
         if not len(active):
             return _in_postorder(np.concatenate(parent), part)
         # only edges inside regions that are still to be divided matter further on
@@ -137,9 +141,9 @@ def _divided(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, lea
         first, second = first[inside], second[inside]
         ordered = ordered[large[ordered]].reshape(len(place), -1)
         # separators stay with the part of their region; its two halves are the regions of the next level
-        side, cover = _best_cut(first, second, own, ordered)
+        side, cover = _best_cut(first, second, region, ordered)
         active = active[~cover[active]]
-        halves, own[active] = np.unique(2 * own[active] + side[active], return_inverse=True)
+        halves, region[active] = np.unique(2 * region[active] + side[active], return_inverse=True)
         parent.append(first_part + halves // 2)
 
 
@@ -166,10 +170,11 @@ def _upper_half(ordered: np.ndarray, region: np.ndarray) -> np.ndarray:
     ordered : (active nodes,), numbers of the nodes that are in no separator yet, in their order along the axis.
     region : (nodes,) number of the region of each node.
     """
+    # sorted by region, and within each by the place along the axis: the second half of each is its upper half
     own = region[ordered]
     order = np.argsort(own.astype(np.uint16) if own.max() < 2**16 else own, kind="stable")
     size = np.bincount(own)
-    middle = np.cumsum(size) - size // 2  # of the places of each region
+    middle = np.cumsum(size) - size // 2
     upper = np.zeros(len(region), dtype=bool)
     upper[ordered[order]] = np.arange(len(order)) >= middle[own[order]]
     return upper
@@ -209,6 +214,7 @@ def _least_cover(low: np.ndarray, high: np.ndarray, count: int) -> np.ndarray:
     capacity.sum_duplicates()
     left = sparse.csr_array(capacity - maximum_flow(capacity, source, sink).flow)
     left.eliminate_zeros()
+    # nodes on the lower side that the source no longer reaches, and those on the upper side that it does
     reached = np.zeros(sink + 1, dtype=bool)
     reached[breadth_first_order(left, source, return_predecessors=False)] = True
     cover = np.zeros(count, dtype=bool)

@@ -1,7 +1,7 @@
 """Opens HDF5 files from anywhere safely: what a file claims to hold is checked before it is read.
 
-Some damaged files keep the HDF5 library reading for ever, deaf to signals. A file that may be one of them is opened and
-checked with Ctrl-C and SIGTERM at their default action, so that a command can be left; any other file so that the
+At some damaged files a call of the HDF5 library never returns, so that Python handles no signal. A file that may be one
+of them is opened with Ctrl-C and SIGTERM at their default action, which ends a command; for any other file only the
 second signal has its default action.
 """
 
@@ -115,7 +115,7 @@ def _reason_in_content(file: h5py.File, size: int) -> str:
     file.id.links.visit(lambda name, link: links.append((name, link.type)), info=True)
     if leads_out := [name.decode() for name, kind in links if kind == h5py.h5l.TYPE_EXTERNAL]:
         return f"{leads_out[0]} in it is a link to another file; such links are not followed"
-    named = ((name.decode(), file.get(name)) for name, _ in links)  # a thing as often as it is named
+    named = ((name.decode(), file.get(name)) for name, _ in links)  # an item with two names counts twice
     declared, most = 0, max(CLAIMED_FACTOR * size, CLAIMED_BYTES)
     for name, item in [("/", file), *((name, item) for name, item in named if item is not None)]:
         if reason := _reason_in_attributes(name, item):
@@ -126,6 +126,7 @@ def _reason_in_content(file: h5py.File, size: int) -> str:
             return reason
         claimed = math.prod(item.shape or ()) * item.id.get_type().get_size()
         declared += claimed
+        # more than what is stored can be unpacked to; or, with the data sets before it, more than the file may claim
         if claimed > GZIP_FACTOR * item.id.get_storage_size() + UNPACKED_BYTES or declared > most:
             words = f"claims to hold {claimed:,} bytes, more than is read of a file of {size:,} bytes"
             return f"{name} in it {words}"

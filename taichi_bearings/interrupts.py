@@ -3,7 +3,7 @@
 Python runs the handler of a signal in its main thread, between two of its own steps. There are two kinds of work:
 
 * What may be broken off anywhere ends at once (`raise_at_signals`).
-* What must not be half done *looks up* at places where it may end (`look_up`, inside `while_wanted`).
+* What must not be half done asks at certain places whether it is to end (`look_up`, inside `while_wanted`).
 
 A command that does not end by these means is ended by :mod:`taichi_bearings.leaving`.
 
@@ -31,7 +31,7 @@ IMPATIENCE = 5.0  # seconds; a second Ctrl-C that comes later than this ends the
 
 
 class GivenUp(KeyboardInterrupt):
-    """Raised in work that is no longer wanted; what it had reached before is whole."""
+    """Raised in work that is no longer wanted. Results that it had reached before are complete."""
 
 
 _ended: ContextVar[Callable[[], bool] | None] = ContextVar("ended", default=None)
@@ -69,7 +69,7 @@ class Keeper:
         """Begin without a result, and without having heard anything."""
         self.reached = self.heard = False
         self.first = 0.0  # clock reading, seconds, of the first signal that was heard
-        self.until_told = ExitStack()  # keeps the process
+        self.until_reported = ExitStack()  # once there is a result, holds the context in which the process is not ended
 
     def note(self) -> None:
         """Note a signal."""
@@ -96,7 +96,7 @@ def keeping() -> Iterator[None]:
             leaving.forget_heard()
         raise
     finally:
-        _keeper.until_told.close()
+        _keeper.until_reported.close()
         _keeper = before
 
 
@@ -105,7 +105,7 @@ def keep() -> None:
     nothing, so that no signal comes between the result and this note.
     """
     if _keeper is not None and not _keeper.reached:
-        _keeper.until_told.enter_context(leaving.saving())
+        _keeper.until_reported.enter_context(leaving.saving())
         _keeper.reached = True
 
 
@@ -158,7 +158,7 @@ def is_loading(frame: FrameType | None) -> bool:
     """Return True if a module is being loaded in the frame or above it. An exception that is raised then may be lost or
     turned into another one by compiled modules.
 
-    frame : what runs at a signal; None if nothing does.
+    frame : frame of Python that a signal interrupts; None if there is none.
     """
     while frame is not None:
         if frame.f_code.co_filename.startswith("<frozen importlib"):
@@ -174,7 +174,7 @@ def again_soon(is_wanted: Callable[[], bool] = lambda: True) -> None:
     is_wanted : function that is called at that moment; if it returns False, nothing is sent.
     """
 
-    def ring() -> None:
+    def send() -> None:
         """Wait a moment, and send Ctrl-C to the main thread."""
         time.sleep(SOON)
         while leaving.is_ended_by_signals() or signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
@@ -188,7 +188,7 @@ def again_soon(is_wanted: Callable[[], bool] = lambda: True) -> None:
             _thread.interrupt_main()
 
     _thread.start_new_thread(
-        ring, ()
+        send, ()
     )  # no Thread: the main one may be starting another, which a second start waits for
 
 

@@ -1,9 +1,9 @@
 """Ends the process of a command at Ctrl-C or SIGTERM, whatever it is doing; a program that imports us is never ended.
 
-Python runs the handler of a signal in its main thread, between two of its own steps. So a handler is deaf inside a long
+Python runs the handler of a signal in its main thread, between two of its own steps. So no handler runs during a long
 call of a library, and some code swallows what a handler raises: modules that are being loaded, destructors, callbacks.
-Therefore a thread hears of each signal too (:func:`watch`). Where the process is still there a second later and nothing
-is being saved, the thread removes the temporary files, says one sentence and ends the process.
+Therefore a thread is told of each signal too (:func:`watch`). If the process still runs a second later and nothing is
+being saved, the thread removes the temporary files, prints one sentence and ends the process.
 """
 
 import atexit
@@ -21,7 +21,7 @@ from typing import Any, NoReturn
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 EXIT_CODE = 130  # of an interrupted command, as shells have it
 IGNORED = 1  # in C the handler that ignores a signal, the largest of those that are no functions
-GRACE, GLANCE = 1.0, 0.05  # seconds until a process is ended that does not end itself, and between two looks at it
+GRACE, GLANCE = 1.0, 0.05  # seconds until a process is ended that does not end itself, and between two checks of that
 NOTHING_KEPT = "interrupted; only files that were complete are kept"
 AS_BEFORE = "\r\x1b[2K\x1b[?25h"  # a terminal without a line of progress, and with its cursor
 
@@ -33,7 +33,7 @@ _raised = False  # True while an exception that a signal has raised is on its wa
 _own_signals = 0  # signals that this process has sent to itself and that have not come yet
 _watched = False
 _exit_code: int | None = None  # with which the command ends; None as long as it is not known
-_last_word = threading.Lock()  # whoever holds it ends the process
+_ending = threading.Lock()  # the thread that gets it ends the process; it is never released
 
 
 class _Blocks:
@@ -119,7 +119,8 @@ def forget_temporary(path: Path) -> None:
 def add_helper(process: int) -> None:
     """Have a process killed if this one is ended before :func:`forget_helper` is called for it.
 
-    process : process number of a child of this process, which stays its own until it is waited for.
+    process : process number of a child of this process. No other process gets this number before the child is waited
+        for.
     """
     _helpers.add(process)
 
@@ -159,7 +160,7 @@ def note_raised() -> None:
 
 
 def forget_raised() -> None:
-    """Note that the exception which a signal has raised has come where it is caught, as it was raised."""
+    """Note that the exception which a signal has raised was caught as what it is, a KeyboardInterrupt."""
     global _raised
     _raised = False
 
@@ -245,12 +246,12 @@ def watch() -> None:
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
     signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
-    threading.Thread(target=_end_the_deaf, args=(reading,), daemon=True).start()
+    threading.Thread(target=_end_if_stuck, args=(reading,), daemon=True).start()
 
 
-def _end_the_deaf(reading: int) -> None:
-    """Wait for a signal, then give the process GRACE seconds to end by itself (again and again while something is being
-    saved). After that print the last sentence and end the process. Runs in a thread of its own.
+def _end_if_stuck(reading: int) -> None:
+    """Wait for a signal, then give the process GRACE seconds to end by itself, counted from the end of the last work
+    that saves something. After that print the last sentence and end the process. Runs in a thread of its own.
 
     reading : pipe from which the numbers of signals can be read as they come.
     """
@@ -261,7 +262,7 @@ def _end_the_deaf(reading: int) -> None:
     while left > 0:
         time.sleep(GLANCE)
         left = GRACE if _saving.under_way else left - GLANCE
-    _last_word.acquire()
+    _ending.acquire()
     with contextlib.suppress(OSError):
         os.write(2, f"{AS_BEFORE if os.isatty(2) else ''}bearings: {_sentences[-1]}\n".encode(errors="replace"))
     _leave()
@@ -299,7 +300,7 @@ def end_now(sentence: str = "") -> None:
     """
     if not _watched:
         return
-    _last_word.acquire()
+    _ending.acquire()
     if sentence and sys.stderr is not None:
         with contextlib.suppress(OSError, ValueError):
             print(sentence, file=sys.stderr)

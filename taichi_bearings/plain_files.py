@@ -24,10 +24,8 @@ NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 MOST_JSON = 2**24  # bytes of a summary or report that are read
 MOST_PARTS = 200_000  # lists and tables in it
 MOST_LINE = 2**20  # bytes of a line of a journal
-CLAIMED_FACTOR, CLAIMED_BYTES = (
-    16,
-    2**25,
-)  # a file may claim to hold so many times its own bytes, or so many in any case
+# the content of a file may be said to take so many times the bytes of the file, or so many in any case
+CLAIMED_FACTOR, CLAIMED_BYTES = 16, 2**25
 
 
 @contextlib.contextmanager
@@ -168,7 +166,7 @@ def write_all(file: IO[bytes], content: bytes | memoryview) -> None:
 
 
 def let_go(file: IO[bytes]) -> None:
-    """Close a file that is about to be renamed or removed on Windows, which wants that; other systems keep it open and
+    """Close a file that is about to be renamed or removed, as Windows demands; on other systems it stays open and
     locked.
     """
     if sys.platform == "win32":

@@ -176,9 +176,10 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
             debug=debug,
             log_level=ti.CRITICAL,  # what goes wrong is an exception, too
             offline_cache=kept is not None,
-            offline_cache_file_path=str(kept or Path(__file__).parent),  # at its end it makes sure that this is there
+            offline_cache_file_path=str(kept or Path(__file__).parent),  # Taichi makes it at its end if it is missing
         )
-    ti.lang.impl.current_cfg().cpu_max_num_threads = MOST_THREADS  # a part of the name of every cached kernel
+    # the number of threads is in the name of each cached kernel, so that one number serves all runs
+    ti.lang.impl.current_cfg().cpu_max_num_threads = MOST_THREADS
     if kept is not None and compiler.name() == "taichi":
         walks.keep(ti, kept.parent / "walks", writes=compiled_before)
     _current, _owner, _program = wanted, os.getpid(), running_program()

@@ -84,7 +84,7 @@ def read_text_lines(path: Path) -> Generator[bytes, None, None]:
 class _Unpacker(io.RawIOBase):
     """The unpacked content of a packed file, which may be several streams one after another.
 
-    is_torn : True once the file has ended within a stream.
+    is_torn : True once the file was found to end in the middle of a stream.
     """
 
     def __init__(self, file: IO[bytes], make: Callable[[], Any]) -> None:

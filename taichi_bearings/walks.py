@@ -35,7 +35,7 @@ from taichi_bearings.plain_files import replace_file
 COMPILER = (1, 7, 4)  # version of Taichi whose inner functions are known here
 KERNELS = "taichi_bearings.kernels"  # the package whose functions may be kept
 MOST_FILES = 600  # walks in the folder; where there are more, the older half is deleted
-# settings of the compiler that no walk depends on; Taichi does not even set the second one, which is as memory was
+# settings of the compiler that no walk depends on; Taichi leaves the second one uninitialised
 UNRELATED = "offline_cache_file_path", "print_ir_dbg_info"
 # first letters of calls that change nothing: they are kept only if a later call takes what they return
 QUERIES = ("get_", "shape", "element_type", "item of")
@@ -121,13 +121,13 @@ class _Kept:
             if key in kernel.compiled_kernels:
                 return
             try:
-                place = self.folder / self._name(kernel, args, arg_features)
+                file = self.folder / self._name(kernel, args, arg_features)
             except Exception:  # what this walk depends on cannot be named
                 kernel.walked(key, args, arg_features)
                 return
             with self._lock:  # calls of two walks at once would be written down as one
-                if not self._repeated(kernel, key, place):
-                    self._walked(kernel, (key, args, arg_features), place)
+                if not self._repeated(kernel, key, file):
+                    self._walked(kernel, (key, args, arg_features), file)
 
         return materialized
 
@@ -151,13 +151,13 @@ class _Kept:
         inputs = _named(kernel.func, ()), templates, others, _surroundings(), settings
         return f"{hashlib.sha256(repr(inputs).encode()).hexdigest()}.walk"
 
-    def _repeated(self, kernel: Any, key: Any, place: Path) -> bool:
+    def _repeated(self, kernel: Any, key: Any, file: Path) -> bool:
         """Make the intermediate code of a kernel by the walk in a file: repeat the calls of the compiler's core that
         an earlier process recorded. Return False if there is no such file, or none that can be used.
 
         kernel : the kernel of Taichi.
         key : key under which Taichi finds the compiled kernel again.
-        place : path of the file.
+        file : path of the file.
         """
 
         def generator(made: Any) -> None:
@@ -166,7 +166,7 @@ class _Kept:
             _repeat(self.core, made, kernel.runtime.prog.config(), walk)
 
         try:
-            walk, guards = _read(place)
+            walk, guards = _read(file)
             if any(_value_at(module, name) != before for module, name, before in guards):
                 return False
             title = f"{kernel.func.__name__}_c{kernel.kernel_counter}_{key[1]}"
@@ -176,13 +176,13 @@ class _Kept:
         kernel.compiled_kernels[key] = made
         return True
 
-    def _walked(self, kernel: Any, arguments: tuple[Any, ...], place: Path) -> None:
+    def _walked(self, kernel: Any, arguments: tuple[Any, ...], file: Path) -> None:
         """Have the compiler walk through a kernel's source, which translates it into intermediate code, and write the
         calls of the core that it makes to a file, if `self.writes`.
 
         kernel : the kernel of Taichi.
         arguments : the arguments of `Kernel.materialize`: key, arguments of the kernel, and features of these.
-        place : path of the file.
+        file : path of the file.
 
         Errors of the walk are raised, as without this module. Errors of writing it down are not: then no file is kept.
         """
@@ -194,7 +194,7 @@ class _Kept:
             kernel.walked(*arguments)
         if record is not None and not kernel.has_print:
             with contextlib.suppress(Exception):
-                _write(place, record.walk(), record.guards())
+                _write(file, record.walk(), record.guards())
 
 
 @contextlib.contextmanager
@@ -301,6 +301,7 @@ class _Record:
                 if id(given[0]) in checked:
                     continue
                 checked.add(id(given[0]))
+            # where each argument comes from; the two usual cases here, the others in `_place`
             places = list[int]()
             for value in (*given, *named.values()) if named else given:
                 at = known.get(id(value))
@@ -315,14 +316,16 @@ class _Record:
         recorded calls (steps) that change something, and those whose results kept ones take; queries whose results
         nothing takes are left out. The kept steps are numbered anew."""
         steps, needed, kept = self._steps, bytearray(len(self._steps)), list[int]()
-        looks = {name: name.rpartition(".")[2].startswith(QUERIES) for name in {step[0] for step in steps}}
+        # backwards, so that it is known of each query whether a later step that is kept takes its result
+        is_query = {name: name.rpartition(".")[2].startswith(QUERIES) for name in {step[0] for step in steps}}
         for number in range(len(steps) - 1, -1, -1):
-            if needed[number] or not looks[steps[number][0]]:
+            if needed[number] or not is_query[steps[number][0]]:
                 kept.append(number)
                 for at in steps[number][1]:
                     if at >= 0:
                         needed[at] = 1
         kept.reverse()
+        # places from 0: given objects and constants, which had negative numbers, then the results of the kept steps
         begin = len(self._given) + len(self._constants)
         moved = dict(zip(kept, range(begin, begin + len(kept)), strict=True))
         moved |= {-1 - n: n for n in range(begin)}
@@ -458,7 +461,7 @@ def _is_ours(module: str) -> bool:
 def _named(value: Any, above: tuple[int, ...]) -> Any:
     """Return a value that a kernel depends on as lists of numbers and texts, the same in every process.
 
-    above : `id` of the values around this one, as a value may hold itself; it is then named "above" there.
+    above : `id` of the values that contain this one. A value that contains itself is named "above" inside itself.
 
     Raises Unkept for objects that are not of this package's kernels or of the compiler.
     """
@@ -488,9 +491,10 @@ def _named(value: Any, above: tuple[int, ...]) -> Any:
 
 
 def _feature(value: Any) -> Any:
-    """Return what the compiler looks at in an argument as text, or as lists of texts.
+    """Return a feature of an argument, which the compiler looks at, as a text with its type; of a tuple of features a
+    list of texts.
 
-    value : such a feature, or a tuple of some.
+    value : the feature, or a tuple of features.
     """
     return [_feature(item) for item in value] if isinstance(value, tuple) else f"{type(value).__name__} {value}"
 
@@ -533,33 +537,33 @@ def _settings(config: Any) -> list[str]:
     return [f"{name} {getattr(config, name)}" for name in names]
 
 
-def _read(place: Path) -> tuple[Walk, list[Guard]]:
+def _read(file: Path) -> tuple[Walk, list[Guard]]:
     """Return the walk in a file (the recorded translation of a kernel: names, constants and calls), and its guards:
     names in modules, with texts about the values that they must still have.
 
-    place : path of the file.
+    file : path of the file.
 
     Raises OSError if there is no file, ValueError if it is damaged.
     """
-    kept = place.read_bytes()
+    kept = file.read_bytes()
     if hashlib.sha256(kept[32:]).digest() != kept[:32]:
-        raise ValueError(place)
+        raise ValueError(file)
     found: tuple[Walk, list[Guard]] = marshal.loads(kept[32:])
     return found
 
 
-def _write(place: Path, walk: Walk, guards: list[Guard]) -> None:
+def _write(file: Path, walk: Walk, guards: list[Guard]) -> None:
     """Write a walk (the recorded translation of a kernel) and its guards (what must be unchanged for it to be used) to
     a file, whole or not at all: another process may write the same file just then.
 
-    place : path of the file.
+    file : path of the file.
 
     Of more than `MOST_FILES` files in the folder the older half is deleted.
     """
-    place.parent.mkdir(mode=0o700, exist_ok=True)
+    file.parent.mkdir(mode=0o700, exist_ok=True)
     kept = marshal.dumps((walk, guards))
-    replace_file(place, hashlib.sha256(kept).digest() + kept)
-    files = list(place.parent.iterdir())
+    replace_file(file, hashlib.sha256(kept).digest() + kept)
+    files = list(file.parent.iterdir())
     if len(files) > MOST_FILES:
-        for old in sorted(files, key=lambda file: file.stat().st_mtime)[: MOST_FILES // 2]:
+        for old in sorted(files, key=lambda one: one.stat().st_mtime)[: MOST_FILES // 2]:
             old.unlink(missing_ok=True)
