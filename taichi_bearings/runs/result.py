@@ -24,7 +24,7 @@ from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.writing import draw_figures, publish
 from taichi_bearings.scene import Bearing, Snapshots, Solution, Status
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
-from taichi_bearings.solvers.stopping import told
+from taichi_bearings.solvers.stopping import reported_status
 from taichi_bearings.words import counted, html_table, listed
 
 if TYPE_CHECKING:
@@ -150,7 +150,7 @@ class Result:
         own, asked = self.solution.own.get("status", [self.solution.status] * len(self)), self.asked
         restricted, has_duration = self.solution.is_restricted.tolist(), asked.duration is not None
         return [
-            told(status, gap, is_restricted, asked.tolerance, has_duration)
+            reported_status(status, gap, is_restricted, asked.tolerance, has_duration)
             for status, gap, is_restricted in zip(own, self.solution.gap, restricted, strict=True)
         ]
 

@@ -29,7 +29,7 @@ class Indicated:
     state : (R samples, E contacts), values of `ContactState`; DRIVEN for contacts that take no part (absent, or between
         two driven spheres).
     slip_threshold : slip speed, length/time, up to which a contact counts as slipless.
-    own : further numbers that each sample has of its own, arrays (R,) by name, such as its number of iterations.
+    own : further numbers of each sample, arrays (R,) by name, such as its number of iterations.
     """
 
     state: np.ndarray
@@ -85,7 +85,7 @@ class Reached(ABC):
         """Return the states (R samples, E contacts) that are proven of all minima, UNDECIDED where nothing is; None if
         no proof is tried.
 
-        has_ended : True if a motion is proven to have come to a minimum.
+        has_ended : True if a dynamics is proven to have come to a minimum.
         """
 
     @abstractmethod

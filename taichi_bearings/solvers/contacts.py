@@ -76,13 +76,13 @@ class Ended:
 class Launch:
     """Several calls of one kernel in a row, with the same constants.
 
-    turns : number of calls.
+    calls : number of calls.
     numbers : the constants.
     first : for kernels whose momentum grows from call to call: the number of calls since the momentum was last set to
         zero.
     """
 
-    turns: int
+    calls: int
     numbers: tuple[float, ...]
     first: int = 0
 
@@ -246,7 +246,7 @@ class Stepped(Contacts):
 
         team : the threads that run it.
         sweeps : the kernel.
-        launch : how often (`turns`) and with which constants (`numbers`).
+        launch : how often (`calls`) and with which constants (`numbers`).
         """
 
     @abstractmethod

@@ -110,7 +110,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
         * On contacts: `force`; `elongation` of the spring, with friction; `work`, with an energy balance.
         """
         energy, holds, order = self.options.energy, self.scene.law.holds, self.options.gear_order
-        predicted = ["predicted"] * self.contacts.stores_predicted
+        predicted = ["predicted"] * self.contacts.stores_predicted  # a name times False is an empty list
         moved = [*(f"gear_{n}" for n in range(order + 1)), *predicted, *["integral"] * holds, *["impulse"] * energy]
         spheres = dict.fromkeys(moved, len(self.spin_axes)) | {"is_free": 1}
         return self.contacts.field_spec(spheres, ["force", *["elongation"] * holds, *["work"] * energy])
@@ -173,8 +173,8 @@ class CundallStrackMethod(Swept, SpringDynamics):
             return self.damping_force(derivatives[-1])
         stretch = options.stiffness * self.time_step / order
         rate = options.damping * derivatives[-1] + stretch * derivatives[-2]
-        holds = options.static_ratio * scene.strength * scene.acting_coefficient
-        sticks = options.damping * scene.slips(derivatives[0], self.spin_axes) <= holds
+        static_limit = options.static_ratio * scene.strength * scene.acting_coefficient
+        sticks = options.damping * scene.slips(derivatives[0], self.spin_axes) <= static_limit
         rate = self.differences(rate)
         force = np.where(sticks, scene.slip_radius * rate, 0.0)
         return self.with_viscosity(force, self.differences(derivatives[-1]))
@@ -255,10 +255,8 @@ class CundallStrackMethod(Swept, SpringDynamics):
         return (
             radius * span,  # turns a spin difference into the distance slipped in the step
             options.stiffness,  # of a spring
-            radius
-            * (
-                options.damping if scene.law.holds else 1.0
-            ),  # radius times damping of a contact; the radius alone in laws without friction
+            # radius times damping of a contact; the radius alone for laws without friction
+            radius * (options.damping if scene.law.holds else 1.0),
             scene.strength,  # by which a coefficient is multiplied to give the limit of kinetic friction
             scene.strength * options.static_ratio,  # the same for static friction
             *options.after_slip(span),  # two numbers that give the elongation of a slipping spring from its force
@@ -409,8 +407,8 @@ class CundallStrackMethod(Swept, SpringDynamics):
         return super().may_be_at_rest(replace(found, lower_bound=self.contacts.best_bound(found.lower_bound)))
 
     def _loading_time(self) -> float:
-        """Return a time after which springs are surely loaded: the time in which the driving stretches a spring to ten
-        times the elongation at which the strongest contact slips; 0 without drive."""
+        """Return the time in which the driving stretches a spring to ten times the elongation at which the strongest
+        contact slips, so that all springs are loaded after it; 0 if nothing is driven."""
         scene = self.scene
         strongest = float(scene.acting_coefficient.max()) * self.options.static_ratio
         speed = scene.slip_radius * scene.jump

@@ -2,7 +2,7 @@
 
 `solve` prepares the method, follows its *course* (class `Course`: the loop from the start, or from a checkpoint, to the
 end), and has the answer judged. Lattices are solved with all their samples in one course, and so are minima of
-packings; otherwise each sample of a packing has a course of its own, and some are stepped side by side.
+packings; otherwise each sample of a packing has a course of its own, and several courses make their steps together.
 
 Words: a *look* is a point of the course at which the progress of the method is read and judged. Shapes: R samples
 (replicas), N spheres, E contacts, C carried spin components.
@@ -126,7 +126,7 @@ def solve(
     asked = _Asked(stop or StopRule(), monitors, slip_threshold, recording or Recording())
     if scene.driving.samples_step_together or scene.replicas == 1 or minimises_packing:
         return _solved([_Sample(scene, method, spin, checkpoints)], asked)[0]
-    return _apart(scene, method, spin, checkpoints, asked)
+    return _solve_separately(scene, method, spin, checkpoints, asked)
 
 
 @dataclass(frozen=True)
@@ -162,15 +162,14 @@ class _Sample:
     checkpoints: Checkpoints | None
 
 
-def _apart(
+def _solve_separately(
     scene: Bearing, method: Method, spin: np.ndarray, checkpoints: Checkpoints | None, asked: _Asked
 ) -> Solution:
     """Return one answer to all samples of a packing. Each sample is stepped by a method of its own, and its result has
     the same bits as if it were solved alone.
 
-    As many samples are stepped side by side as fit the device. After Ctrl-C the answer holds only the samples that were
-    begun. With checkpoints, from which the others can be continued, KeyboardInterrupt is raised instead if some are
-    missing.
+    As many samples are stepped at a time as fit the device. After Ctrl-C the answer has only the samples that were
+    begun. If some are missing but can be continued from checkpoints, KeyboardInterrupt is raised instead.
 
     scene : the packing.
     method : the method, which is copied for each sample.
@@ -202,9 +201,9 @@ def _apart(
 
 
 def _solved(samples: Sequence[_Sample], asked: _Asked) -> list[Solution]:
-    """Return the answers to some samples that are stepped side by side.
+    """Return the answers to some samples that are stepped together.
 
-    The times in each answer are those of all samples divided by their number.
+    Each answer gets an equal share of the time of all.
 
     samples : the scenes, each with its method and its spins to start from.
     asked : limits, tolerance, monitors and times of recording that were asked for.
@@ -228,7 +227,6 @@ def _solved(samples: Sequence[_Sample], asked: _Asked) -> list[Solution]:
     running = runtime.current() if options.needs_taichi else runtime.HOST
     if options.cpu_only:  # whose numbers are doubles, whatever those of fields are
         running = replace(running, precision="f64")
-    # each sample is given an equal share of the seconds
     share, heard, compiling = len(found), interrupt.heard, courses[0].called - began
     return [
         replace(one, interrupted=heard, running=running, seconds=one.seconds / share, seconds_compile=compiling / share)
@@ -237,8 +235,8 @@ def _solved(samples: Sequence[_Sample], asked: _Asked) -> list[Solution]:
 
 
 def _follow(courses: Sequence["Course"], monitors: Sequence[Monitor]) -> None:
-    """Run the loops of some samples to their ends, side by side: in each turn all of them make the same number of
-    steps.
+    """Run the loops of some samples to their ends. All of them make the same number of steps at a time: the least
+    number that one of them wants before its progress is read.
 
     courses : the loops, one for each sample of a packing, or a single one for a lattice.
     monitors : functions that are called with a `Report` each time that the progress of a sample is read.
@@ -249,16 +247,16 @@ def _follow(courses: Sequence["Course"], monitors: Sequence[Monitor]) -> None:
 
         together = Together([course.method for course in courses])
         advance, drop = together.advance, together.drop
-    # each loop says how many steps it wants before it looks at the progress again; `left`: how many are still to make
-    ways = [course.steps(monitors) for course in courses]
-    left = {number: steps for number, way in enumerate(ways) if (steps := next(way, None)) is not None}
+    # `left`: steps that each loop still wants before its progress is read; a loop without an entry has ended
+    loops = [course.steps(monitors) for course in courses]
+    left = {number: steps for number, loop in enumerate(loops) if (steps := next(loop, None)) is not None}
     while left:
         now = min(left.values())
         with suppress(GivenUp), while_wanted(courses[0].is_ended):
             advance(now)
             runtime.wait()  # else hours of steps could queue up on a GPU, which no limit would end
         for number, steps in list(left.items()):
-            more = steps - now if steps > now else next(ways[number], None)
+            more = steps - now if steps > now else next(loops[number], None)
             if more is not None:
                 left[number] = more
                 continue
@@ -306,10 +304,11 @@ class Course:
     checkpoints : where states are saved; None for nowhere.
     interrupt : tells whether Ctrl-C was pressed.
     target : iteration at which the progress is read next.
-    had_ended : True for a minimisation that goes on from its last state, which was the answer already, as the process
-        ended before it was written.
+    had_ended : True for a minimisation whose checkpoint has the answer already: its process ended before the answer
+        was written.
     launch : iterations that are made at a time, so many that they take about half a second.
-    began : clock reading, seconds, from which wall time is counted, that before a checkpoint included.
+    began : clock reading, seconds, from which wall time is counted: the start of this call less the wall time that was
+        spent before the checkpoint.
     called, written_at : clock readings at the start of this call, and at the last checkpoint.
     best, recorder : the best state so far, and the history.
     """
@@ -425,7 +424,7 @@ class Course:
 
     def _ends_again(self) -> bool:
         """Return True, and end the run, if the best state of a checkpoint is the answer by the limits of this call,
-        too. No forces are read from the method once more, since some methods prove others at each look.
+        too. The forces are those of the checkpoint, since some methods have other forces each time they are read.
         """
         best, progress = self.best, self.method.progress()
         best.bound = self.method.proven_by(best.proof)
@@ -516,7 +515,7 @@ class Course:
         )
 
     def _ended(self, threshold: float | None) -> Ended:
-        """Return how the run ended, and forget its states, whose arrays of forces nothing else needs.
+        """Return how the run ended. The attributes `last` and `best` are deleted, as their forces take much memory.
 
         threshold : slip speed up to which a contact counts as slipless, length/time; None for the slip that the method
             can resolve.

@@ -6,13 +6,13 @@ Liquids (1987), appendix E, table for first-order equations.
 Letters: h time step, I moment of inertia, R radius, K and A stiffness and damping of a contact, lambda eigenvalue of
 the lattice Laplacian, q order of the method, M number of modes.
 
-While contacts stick, a mode that starts with spin 1 has the spin x(t) = (p e^(p t) - q e^(q t)) / (p - q), where p and
-q are here the roots of s^2 + A R^2 lambda / I s + K R^2 lambda / I = 0. In Gear's method the exponentials over a step
-are replaced by two eigenvalues of its amplification matrix. The error is the difference of the two solutions, root mean
+While contacts stick, a mode that starts with spin 1 has the spin x(t) = (a e^(a t) - b e^(b t)) / (a - b), where a and
+b are the roots of s^2 + A R^2 lambda / I s + K R^2 lambda / I = 0. In Gear's method the exponentials over a step are
+replaced by two eigenvalues of its amplification matrix. The error is the difference of the two solutions, root mean
 square over the modes, at the time when it is largest: an error of phase grows until the damping has stopped the mode.
 
 A contact sticks only while it bears no more than its friction. So the largest spin of a mode is mu F_n / (R |A + K /
-p|). Errors made by contacts that begin or cease to slip come on top, and are not estimated here.
+a|). Contacts that begin or cease to slip cause further errors, which are not estimated here.
 """
 
 from dataclasses import dataclass
@@ -72,7 +72,7 @@ def amplification(corrector: tuple[float, ...], decay: np.ndarray, oscillation: 
     return matrix
 
 
-@lru_cache(maxsize=1000)  # of networks solved one after the other it is mostly the same
+@lru_cache(maxsize=1000)  # samples of one network mostly have the same rates
 def largest_stable_step(order: int, decay_rate: float, frequency_squared: float) -> float:
     """Return the largest time step at which the stiffest mode and all softer modes are stable; infinity if any step is.
 
@@ -132,7 +132,7 @@ def largest_weighted_eigenvalue(scene: Scene, spin_axes: tuple[int, ...], slopes
     """Return an upper estimate of the largest eigenvalue of the Laplacians of a lattice weighted by the slopes of the
     forces over the slips, over all samples and spin components; 0 for friction alone.
 
-    It is found by Lanczos' method to a relative 1e-3, and raised by as much.
+    It is found by Lanczos' method to a relative error of 1e-3, and raised by this error.
 
     scene : the lattice.
     spin_axes : numbers of the axes of the spin components that are computed.
@@ -221,9 +221,9 @@ class Modes:
         time_step : length of its steps, time.
         """
         matrices = amplification(GEAR_COEFFICIENTS[order], time_step * self.decay, time_step**2 * self.oscillation)
-        values, (p, q) = np.linalg.eigvals(matrices), self.roots
-        error = np.zeros((len(p), len(TIMES_IN_STEPS)), dtype=complex)
-        for root, other in ((p, q), (q, p)):
+        values, (a, b) = np.linalg.eigvals(matrices), self.roots
+        error = np.zeros((len(a), len(TIMES_IN_STEPS)), dtype=complex)
+        for root, other in ((a, b), (b, a)):
             # the eigenvalue of the amplification matrix that stands for exp(h p); growth by rounding is cut off
             exact = time_step * root
             nearest = np.abs(values - np.exp(exact)[:, None]).argmin(axis=1)

@@ -4,10 +4,10 @@ The system falls apart (equations.md, 2). Spin components decouple; component k 
 not along k, so on a cubic lattice each plane k = constant is a two-dimensional weighted grid of its own, and replicas
 are independent anyway. The planes of a bundle are factorised together, as one sparse matrix.
 
-With coefficients over many decades the difference of two spins that a stiff contact ties together drowns in the
-rounding of the spins, and with it the contact's force. So each spin is kept as a sum of two numbers, spin + rest, and
-the leftover torques of that sum are solved for again until they no longer fall (iterative refinement): torques then
-balance to the rounding of the forces, however large the contrast.
+With coefficients over many decades, the difference of the spins at a stiff contact can be less than their rounding, so
+that its force would be lost. So each spin is a sum of two numbers, spin + rest. The system is solved again for the
+torques that are left over, until they no longer fall (iterative refinement). Torques then balance to the rounding of
+the forces, however large the contrast.
 
 Letters: a *plane* is the two-dimensional grid of one layer and sample, with m x n spheres, the height last; a *bundle*
 has B planes. R samples, N spheres, C carried spin components. Spins are *staggered*: with signs by which neighbours
@@ -121,18 +121,18 @@ class GridBundles(Part):
         spins, rests = (scene.lattice.by_plane(of[slot], component) for of in (self.spin, self.rest))
         spin, rest = spins[planes], rests[planes]
         # each refinement solves for the torques that are left, and is kept in the planes where these fall
-        load = _free_torques(plane, first, second, spin, rest)
-        size = _total(load)
+        torque = _free_torques(plane, first, second, spin, rest)
+        size = _total(torque)
         for _ in range(MOST_SOLUTION_REFINEMENTS):
             new_spin, new_rest = spin.copy(), rest.copy()
             new_spin[..., 1:-1], new_rest[..., 1:-1] = two_sum(
-                spin[..., 1:-1], rest[..., 1:-1] + factor.solve(load.ravel()).reshape(load.shape)
+                spin[..., 1:-1], rest[..., 1:-1] + factor.solve(torque.ravel()).reshape(torque.shape)
             )
-            new_load = _free_torques(plane, first, second, new_spin, new_rest)
-            new_size = _total(new_load)
+            new_torque = _free_torques(plane, first, second, new_spin, new_rest)
+            new_size = _total(new_torque)
             better = new_size < size  # False for NaN
             halved = new_size < 0.5 * size
-            spin[better], rest[better], load[better] = new_spin[better], new_rest[better], new_load[better]
+            spin[better], rest[better], torque[better] = new_spin[better], new_rest[better], new_torque[better]
             size = np.where(better, new_size, size)
             if not halved.any():
                 break
@@ -187,10 +187,10 @@ def _free_torques(
     return pull[..., 1:-1]
 
 
-def _total(load: np.ndarray) -> np.ndarray:
+def _total(torque: np.ndarray) -> np.ndarray:
     """Return the sum (B,) of the absolute torques in each of B planes, a measure of how far they are from balance.
 
-    load : (B, m, n), torques.
+    torque : (B, m, n), torques.
     """
-    found: np.ndarray = np.abs(load).sum(axis=(1, 2))
+    found: np.ndarray = np.abs(torque).sum(axis=(1, 2))
     return found

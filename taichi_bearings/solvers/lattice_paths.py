@@ -85,13 +85,13 @@ class LatticePaths(Paths):
         # imposed spins of the top less those of the bottom, in `unit`, as sums of two doubles (C, *plane)
         top, self.unit = scene.driving.top_in_units(spin_axes), float(scene.driving.unit[0][0])
         self.frustrated = bool(top[0].any())
-        small = scene.lattice.sites < BATCHED_SITES  # samples so small are stepped several at a time
+        small = scene.lattice.sites < BATCHED_SITES  # several small samples are stepped at a time
         shared = surroundings_of_lattice(scene.lattice, spin_axes, top, small)
         self.system = shared.system
         super().__init__(shared, scene.lattice.sites, small, settles=True, asked=settle)
         if self.frustrated:
             together = LANES if small and scene.replicas > 1 else 1
-            # all before the clock starts, but for what a last sample needs if left alone
+            # compiled before time is measured; only the kernels of a single sample left at the end are compiled later
             compile_passes(self.system.offset.shape[1], together, shared.matrix.is_costly)
             shared.matrix.compile(together)
             shared.matrix.reserve()
@@ -102,9 +102,9 @@ class LatticePaths(Paths):
         self._split = self._prepared_splitting(spin)
 
     def _prepared_splitting(self, spin: np.ndarray) -> Callable[[], Progress] | None:
-        """Return operator splitting, which takes the paths of large cubic lattices near the minimum, as a function that
-        runs it; None where paths keep their starts. These are lattices with viscosity; those whose matrix of springs is
-        not quick to factorise, as on a GPU; and those with so many samples that there is too little memory.
+        """Return a function that runs operator splitting, from whose result the paths of large cubic lattices begin.
+        Return None for small or planar lattices, for lattices with viscosity, where the matrix of springs is not quick
+        to factorise (as on a GPU), and where memory is short.
 
         spin : laboratory spins to start from, 1/time.
         """
@@ -124,8 +124,8 @@ class LatticePaths(Paths):
         super().advance(steps)
 
     def _begin_at(self, reached: Progress) -> None:
-        """Move the starts of all paths near the minimum. Samples in which strong contacts got less friction, as
-        frictions are far apart, keep their starts.
+        """Move the starts of all paths near the minimum. Samples in which strong contacts got less friction (`firm`)
+        keep their starts.
 
         reached : spins and forces near the minimum.
         """

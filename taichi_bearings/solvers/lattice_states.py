@@ -159,10 +159,10 @@ class LatticeReached(Reached):
             return np.stack([judgement.one(n).known[0] if asks else undecided for n, asks in enumerate(asked)])
 
     def observed(self, answer: Solution, known: np.ndarray | None) -> np.ndarray:
-        """Return the contact states (R samples, E contacts) of the answer, with those made UNDECIDED that slip and
-        friction are too small to tell apart from rounding. States that are proven stay.
+        """Return the contact states (R samples, E contacts) of the answer. Unproven states become UNDECIDED where slip
+        and friction are too close to rounding to show whether the contact slips.
 
-        Nothing is changed where the states were read off the slips, or where the law is not friction alone.
+        Nothing is changed if the method has established no states, or if the law is not friction alone.
 
         answer : the answer with its states.
         known : (R, E), the states that are proven, UNDECIDED where nothing is; None if no proof was tried.
@@ -183,9 +183,10 @@ def _states_and_thresholds(
     """Return three things: contact states (R samples, E contacts); the slip speeds (R,), length/time, up to which
     contacts count as slipless; and one such speed for all samples.
 
-    If the user gave no threshold, it is the slip that the method can resolve, or the largest slip of a slipless
-    contact, if friction has told slower slipping contacts apart. A contact that seems to slip while its friction in
-    `size` is below its limit is then undecided, unless `known` has its state.
+    If the user gave no threshold, it is the larger of the slip that the method can resolve and the largest slip of a
+    slipless contact; the latter alone if some slipping contact is slower than what can be resolved, as friction can
+    show that it slips. A contact that seems to slip while its friction in `size` is below its limit is then undecided,
+    unless `known` has its state.
 
     scene : the lattice with its R samples.
     slip : (R, E), slip speeds, length/time.
@@ -213,8 +214,8 @@ def _states_and_thresholds(
 
 
 def _known_by_contact(judgement: Judgement | None, is_dynamics: bool) -> np.ndarray | None:
-    """Return the contact states (R samples, E contacts) that are proven of every minimum, if a cheap proof exists,
-    which looks at each contact alone; else None.
+    """Return the contact states (R samples, E contacts) that are proven of every minimum, if there is a cheap proof
+    that treats each contact by itself; else None.
 
     There is such a proof for laws whose force grows with the slip, and for minima with one spin component. A dynamics
     without viscosity gets None, as its states are those of its motion, not of the minima.

@@ -87,9 +87,7 @@ class Method(ABC):
         """
 
     def give_back(self) -> None:  # noqa: B027
-        """Free the memory that only further iterations would need. Nothing is asked of the method afterwards but what
-        it has found.
-        """
+        """Free the memory that only further iterations would need; no iteration is made afterwards."""
 
     def found(self) -> list[Found]:
         """Return the spins and forces that each sample of a packing has reached, for a method that finds minima; empty

@@ -135,10 +135,10 @@ class OnLists(Stepped):
 
         team : the threads that run it.
         sweeps : the kernel.
-        launch : how often (`turns`) and with which constants (`numbers`).
+        launch : how often (`calls`) and with which constants (`numbers`).
         """
         self.load_numbers(launch)
-        sweeps.run(self.fields, team, launch.turns, NOTHING)
+        sweeps.run(self.fields, team, launch.calls, NOTHING)
 
     def load_numbers(self, launch: Launch) -> None:
         """Load the constants of a launch (repeated calls of the kernel) into the field `numbers`, unless they are there
@@ -260,8 +260,8 @@ class OnLists(Stepped):
         """
         scene, bounds, axes = self.scene, self.bounds, self.spin_axes
         objective = scene.objective(staggered, axes)
-        whole = not bounds.looked < more["iteration"] < self.look_again * bounds.looked
-        bounds.looked = more["iteration"] if whole else bounds.looked
+        is_recent = bounds.looked < more["iteration"] < self.look_again * bounds.looked
+        whole, bounds.looked = not is_recent, bounds.looked if is_recent else more["iteration"]
         with one_thread():
             bound, proof = bounds.of(force if proof is None else proof, staggered, whole)
         bound = min(bound, float(objective[0]))
@@ -301,9 +301,9 @@ class OnLists(Stepped):
 class StepsReached(PackingReached):
     """What a method that makes steps has reached in the one sample of a packing: the best forces, with the best spins.
 
-    Reported are numbers that are proven of the minima, as for other methods. Four things are those of the last state
-    instead: the contact forces of a dynamics, its contact states (slipping or not), and the torques that it leaves
-    over; and the states of contacts in parts of the packing that nothing drives.
+    The answer has what is proven of the minima, as with other methods. Four things are those of the last state instead:
+    the contact forces of a dynamics, its contact states (slipping or not), its leftover torques, and the states of
+    contacts in parts of the packing that nothing drives.
 
     moves : True for a dynamics.
     spin_axes : numbers of the axes of the spin components.

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from taichi_bearings.solvers.table import CundallStrack, Motion
 
 
-UNCACHED_SPHERES = 60_000  # so many spheres have 12 MB of fields in a dynamics, more than a core finds in its caches
+UNCACHED_SPHERES = 60_000  # with so many spheres the 12 MB of fields of a dynamics do not fit into the caches of a core
 
 
 class OnStrides(Stepped, WithMinima):
@@ -173,10 +173,8 @@ class OnStrides(Stepped, WithMinima):
         from taichi_bearings.kernels.cundall_strack import CundallStrackSteps
         from taichi_bearings.kernels.team import Team, made_once
 
-        team, law = (
-            Team(team_size(self.fields.layout, self.stencil.components + self.stencil.force_components)),
-            self.scene.law,
-        )
+        law, numbers = self.scene.law, self.stencil.components + self.stencil.force_components
+        team = Team(team_size(self.fields.layout, numbers))
         own = () if law.is_sum else (force_on_device(law.name),)
         return team, made_once(CundallStrackSteps, self.spec, self.stencil, corrector, *own)
 
@@ -197,9 +195,10 @@ class OnStrides(Stepped, WithMinima):
 
         team : the threads that run it.
         sweeps : the kernel.
-        launch : how often (`turns`), from which turn on (`first`), and with which constants (`numbers`).
+        launch : how often (`calls`), after how many calls since the momentum was zero (`first`), and with which
+            constants (`numbers`).
         """
-        sweeps.run(self.fields, team, launch.turns, launch.numbers, first=launch.first)
+        sweeps.run(self.fields, team, launch.calls, launch.numbers, first=launch.first)
 
     def weights(self, bounds: np.ndarray) -> np.ndarray:
         """Return for each spin component of each sphere the sum of `bounds` over the contacts that this component makes
@@ -296,13 +295,13 @@ class OnStrides(Stepped, WithMinima):
         """
         is_large = self.scene.lattice.sites * self.scene.replicas >= UNCACHED_SPHERES
         reached = LatticeReached(self.scene, ended)
-        ended = replace(ended, best=reached.final, proof=reached.size)  # whose vectors take much memory
+        ended = replace(ended, best=reached.final, proof=reached.size)  # sizes of forces, as vectors take much memory
         if is_large:
             give_back_freed()
         found = answered(reached, ended, ended.while_wanted)
         if is_large:
             del reached
-            gc.collect()  # what the proof knows of a network and of its motions refers to each other
+            gc.collect()  # objects of the proof refer to each other, so that only this frees them
             give_back_freed()
         return found
 

@@ -57,8 +57,8 @@ FIRST_CHECK, CHECKS_A_RUN = 50, 6  # looks are 50 iterations or 1/6 of the run a
 # bytes: 136 for the fields in double precision, 220 for a look, the rest for the answer and its proof
 BYTES_A_SPHERE = 1000.0
 GAP_FALLS_AS = 2.0  # the gap falls about as iteration^-2, measured from 24^3 to 48^3
-# Lattices with more spheres than the caches of a core hold begin in single precision, which halves what passes through
-# memory: iterations in which the gap falls to about 1e-4, the same as in double precision to a few per cent.
+# lattices with so many spheres, more than fit into the caches of a core, make so many iterations in single precision
+# first: it halves the traffic of memory, and the gap falls as in double precision, to about 1e-4
 LARGE_LATTICE, SINGLE_ITERATIONS = 60_000, 1_000
 RESOLVED_SLIP = 0.01  # of the imposed jump: faster contacts count as slipping at any stage
 
@@ -188,7 +188,7 @@ class OperatorSplittingMethod(Method):
         self.iteration, self.stiffness = int(state["iteration"]), np.array(state["stiffness"])
 
     def give_back(self) -> None:
-        """Free the fields, which are a tenth of what the proof of the answer takes in memory."""
+        """Free the fields, before the proof of the answer needs ten times their memory."""
         del self.fields, self.balance
 
     def _along_lattice(self, values: np.ndarray) -> np.ndarray:
@@ -274,7 +274,7 @@ class OperatorSplittingMethod(Method):
         return found
 
     def _seen(self, *names: str) -> list[np.ndarray]:
-        """Return fields by name: on a CPU the arrays themselves, which can be changed in place; of a GPU copies."""
+        """Return fields by name: on a CPU the arrays themselves, which can be changed in place; on a GPU copies."""
         see = self.fields.read if runtime.current().is_gpu else self.fields.view
         return [see(name) for name in names]
 

@@ -7,8 +7,8 @@ plus I |change of the spins|^2 / (2 h), found to round-off (proximal.py). The po
 the forces of the step obey the law of friction, and near rest they prove how far the power is from its minimum.
 
 The error of a step is estimated as in codes for stiff equations: by the difference from what the forces of the step
-before would have done. Components of the spins that have died out (the one about the height, after a random start)
-are set to rest and cost nothing from then on; where they have, they never start again (equations.md, 3).
+before would have done. Spin components that friction has stopped (such as the one about the height, after a random
+start) never start again (equations.md, 3), so that later steps leave them out.
 
 Letters: h length of a step, I moment of inertia, P power, R samples, N spheres, E contacts, C carried spin components.
 The *relaxation time* is that in which a typical contact alone stops a sphere from the largest spin. *Staggered* spins
@@ -133,8 +133,8 @@ class RigidLimitMethod(Dynamics):
     def _step(self) -> None:
         """Make one step, shortened until it is accurate enough or as short as steps may be.
 
-        A step that would pass the next time of interest (`aim`) ends there. A fixed step of the user is not shortened
-        by its error.
+        A step that would pass the next time at which a state is recorded (`aim`) ends there. A fixed step of the user
+        is not shortened by its error.
         """
         least, most = LEAST_STEP * self.relaxation_time, MOST_STEP * self.relaxation_time
         chosen, length = self.options.time_step is not None, self.length
@@ -209,8 +209,8 @@ class RigidLimitMethod(Dynamics):
         self.still = 0 if falls.any() else self.still + 1
 
     def _stop_components(self) -> None:
-        """Set to rest the spin components that the driving does not move and that hardly vary any more. They cost
-        nothing from then on.
+        """Set to rest the spin components that the driving does not move and that hardly vary any more. Later steps
+        leave them out.
 
         A component is stopped if no spin changes thereby by more than STOPPED_SPREAD, and the kinetic energy by no more
         than STOPPED_ENERGY of that at the start.

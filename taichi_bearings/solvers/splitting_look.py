@@ -21,8 +21,8 @@ from taichi_bearings.proof.column_sums import Part, Share, parts_in_cache
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.bearing import inverse
 
-PLAIN_SHARE = 1e-3  # of the gap, which roundings in a quick bound may take
-ROUNDED_UP = 1 + 4 * np.finfo(np.float64).eps  # factor that a computed length exceeds the exact one by, with its errors
+PLAIN_SHARE = 1e-3  # part of the gap that the roundings of a quick bound may make up
+ROUNDED_UP = 1 + 4 * np.finfo(np.float64).eps  # a computed length times this factor is no less than the exact one
 # limits of friction between which squares of forces neither overflow nor lose digits
 LEAST_LIMIT, GREATEST_LIMIT = 1e-100, 1e100
 
@@ -54,7 +54,7 @@ class Sums(NamedTuple):
 
 
 Task = Callable[[], "Sums"]
-"""Looks at one piece of the contacts: writes their forces and returns the sums of the piece."""
+"""Computes and writes the forces of one piece of the contacts, and returns the sums of the piece."""
 
 
 class Look:

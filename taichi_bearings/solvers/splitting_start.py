@@ -67,8 +67,10 @@ def centred(start: Iterate, spins: np.ndarray, dual: np.ndarray, matrix: NewtonM
     """
     friction, difference = start.friction, start.system.differences(spins)
     slip, size = length(difference), length(dual)
+    # power less work of the forces, 0 at the minimum for each contact; on the path it is the same for all
     excess = friction * slip + (difference * dual).sum(axis=0)
     product = PRODUCT_FACTOR * max(float(excess.mean()), TINY)
+    # slip bounds with bound - slip^2 / bound = product / friction; forces with bound * margin >= product / 2
     bound = (product / friction + np.hypot(product / friction, 2 * slip)) / 2
     inside = 1 - product / (2 * friction * bound)
     dual = dual * np.minimum(1.0, inside * friction / np.maximum(size, TINY))

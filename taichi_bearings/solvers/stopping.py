@@ -97,7 +97,7 @@ class StopRule:
         return None
 
 
-def told(status: Status, gap: float, is_restricted: bool, tolerance: float, has_duration: bool) -> Status:
+def reported_status(status: Status, gap: float, is_restricted: bool, tolerance: float, has_duration: bool) -> Status:
     """Return the status of an answer, or of one of its samples, from the status with which its loop ended: CERTIFIED if
     the proven gap is within the tolerance, however the run ended.
 
@@ -135,5 +135,5 @@ def ended_as(status: Status, found: Solution, stop: StopRule, is_dynamics: bool)
     """
     gap, is_restricted = float(np.max(found.gap)), bool(found.is_restricted.any())
     if gap <= stop.tolerance or status is not Status.CERTIFIED:
-        return told(status, gap, is_restricted, stop.tolerance, stop.duration < float("inf"))
+        return reported_status(status, gap, is_restricted, stop.tolerance, stop.duration < float("inf"))
     return Status.STATIONARY if is_dynamics and bool((found.lower_bound == 0).any()) else Status.STALLED

@@ -35,7 +35,8 @@ if TYPE_CHECKING:
     from taichi_bearings.solvers.method import Method
 
 MOST_FACTORISED = 120_000  # spheres of a cubic lattice up to which factorisations fit into any memory (about 48^3)
-# tolerances from which on operator splitting is faster than the interior-point method, up to so many spheres and beyond
+# least tolerances for which operator splitting is faster than the interior-point method: up to MOST_FACTORISED spheres,
+# and beyond
 SPLITTING_TOLERANCE, SPLITTING_TOLERANCE_BEYOND = 3e-5, 1e-6
 
 
@@ -117,9 +118,9 @@ class MethodOptions:
     is_dynamics : True if its iterations are steps in time.
     keeps_checkpoints : True if it can continue from a checkpoint.
     needs_taichi : True if it uses kernels or fields.
-    cpu_only : True if it works in the memory of the CPU, in double precision whatever is asked.
-    alike_in_a_block : number of spheres of a sample up to which several seeds are solved together; that is faster, and
-        gives each seed the same bits as solving it alone.
+    cpu_only : True if it works on the CPU alone, in double precision whatever precision is asked for.
+    alike_in_a_block : number of spheres of a sample below which several seeds are solved together; that is faster, and
+        gives each seed the same bits as if it were solved alone.
     merit : why `auto` takes it where it may, in a few words.
     colour, marker : colour and marker of its curves in figures.
     solves : function that is True for the laws that it solves.
@@ -334,8 +335,8 @@ class InteriorPoint(MethodOptions):
             return tolerance < SPLITTING_TOLERANCE or scene.law.flows
         from taichi_bearings.memory import ESTIMATE_MARGIN, free_bytes
 
-        room = ESTIMATE_MARGIN * scene.replicas * cls.bytes(lattice.shape, lattice.periodic)
-        return tolerance < SPLITTING_TOLERANCE_BEYOND and room <= free_bytes()
+        needed = ESTIMATE_MARGIN * scene.replicas * cls.bytes(lattice.shape, lattice.periodic)
+        return tolerance < SPLITTING_TOLERANCE_BEYOND and needed <= free_bytes()
 
     @classmethod
     def seconds(cls, shape: Sequence[int], tolerance: float) -> float | None:

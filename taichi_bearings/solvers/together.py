@@ -1,7 +1,8 @@
-"""Samples of a packing stepped side by side: each has a method of its own, but one call of the kernels steps them all.
+"""Samples of a packing that are stepped together: each has a method of its own, but one call of a kernel steps all.
 
-Every sample has its own constants, looks and end, so its result has the same bits as if it were solved alone. Stepping
-several at a time only saves launches of kernels, which on a GPU take longer than the steps of a small packing.
+Every sample has its own constants, its own looks (when its progress is read) and its own end, so its result has the
+same bits as if it were solved alone. Stepping several at a time only saves calls of kernels, which on a GPU take longer
+than the steps of a small packing.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,8 +22,8 @@ MOST_ON_CPU, MOST_ON_GPU = 4_000, 4_000_000
 
 
 def samples_at_once(scene: Bearing) -> int:
-    """Return how many samples of a packing to step at a time: so many that a GPU is busy, or that the caches of a CPU
-    hold their numbers.
+    """Return how many samples of a packing to step at a time: as many as keep a GPU busy, or as fit into the caches of
+    a CPU.
 
     scene : the packing, with all its samples.
     """
@@ -71,8 +72,9 @@ class Together:
     def advance(self, steps: int) -> None:
         """Let each method make `steps` steps.
 
-        Each method plans its launches (calls of the kernel with the same constants). All of them are made together for
-        as many turns as the shortest one has; then each goes on with the rest of its launch, or with its next one.
+        Each method plans its launches (repeated calls of the kernel with the same constants). The kernel is called for
+        all methods at once, as often as the shortest launch asks; then each method continues with the rest of its
+        launch, or with its next one.
         """
         if not self.joined:
             for method in self.going:
@@ -80,12 +82,12 @@ class Together:
             return
         plans = [(_contacts(method), method.launches(steps)) for method in self.joined if method in self.going]
         launches = [next(plan, None) for _, plan in plans]
-        while turns := min((launch.turns for launch in launches if launch is not None), default=0):
+        while calls := min((launch.calls for launch in launches if launch is not None), default=0):
             for (contacts, _), launch in zip(plans, launches, strict=True):
                 if launch is not None:
                     contacts.load_numbers(launch)
-            self.sweeps.run(self.fields, self.team, turns, NOTHING)
-            launches = [_rest_of_plan(launch, turns, plan) for launch, (_, plan) in zip(launches, plans, strict=True)]
+            self.sweeps.run(self.fields, self.team, calls, NOTHING)
+            launches = [_rest_of_plan(launch, calls, plan) for launch, (_, plan) in zip(launches, plans, strict=True)]
 
     def drop(self, ended: Method) -> None:
         """Take out a method that has ended. Its fields stay in the common memory and are stepped with the others,
@@ -105,14 +107,14 @@ def _contacts(method: "Swept") -> OnLists:
     return method.contacts
 
 
-def _rest_of_plan(launch: Launch | None, turns: int, plan: Iterator[Launch]) -> Launch | None:
+def _rest_of_plan(launch: Launch | None, calls: int, plan: Iterator[Launch]) -> Launch | None:
     """Return what is left of a launch (repeated calls of a kernel) after some of its calls were made; if nothing is
     left, the next launch of the plan, None at its end.
 
     launch : the launch; None to begin.
-    turns : how many of its calls were made.
+    calls : how many of its calls were made.
     plan : the launches that follow.
     """
-    if launch is None or launch.turns == turns:
+    if launch is None or launch.calls == calls:
         return next(plan, None)
-    return replace(launch, turns=launch.turns - turns, first=launch.first + turns)
+    return replace(launch, calls=launch.calls - calls, first=launch.first + calls)

@@ -32,11 +32,11 @@ class TorqueBalance:
 
     The problem is: sum over axes a of weight_a (-Laplace_a) u = `pull`, with u = 0 on the driven planes. A spin
     component is coupled along the height and one other axis only. A sine transform along the height separates the
-    *modes*, one for each sine. A mode is a *chain* of spheres along the other axis (a ring if that is periodic), whose
-    tridiagonal equations are solved by elimination, with factors that are computed once. On a GPU the solve is one
-    launch. On a CPU the BLAS library multiplies by the sines. A sine is even or odd under reflection of the height, so
-    that each half of the sines acts on sums, or on differences, of two spheres equally far from bottom and top. Columns
-    of large lattices are *folded* into these sums and differences, which halves the products.
+    *modes*, one for each sine. The equations of a mode are those of a *chain* of spheres along the other axis (a ring
+    if that is periodic): tridiagonal, and solved by elimination, with factors that are computed once. On a GPU the
+    solve is one launch of a kernel. On a CPU the BLAS library multiplies by the sines. A sine is even or odd under
+    reflection of the height: even sines act on sums of two spheres equally far from bottom and top, odd ones on
+    differences. Columns of large lattices are *folded* into these sums and differences, which halves the products.
 
     fields : the fields of the method.
     kernels : the kernels of the solve.
