@@ -20,20 +20,27 @@ for number in (signal.SIGINT, signal.SIGTERM):
 from taichi_bearings import interrupts, leaving  # noqa: E402
 
 
+def _prepare() -> None:
+    """Have commands load less, and keep the memory that arrays give back: before NumPy is loaded, which --version and
+    --help do without."""
+    from taichi_bearings.later import postpone
+
+    postpone()
+    from taichi_bearings.memory import keep_freed
+
+    keep_freed()
+
+
 def main() -> None:
     """Run the command line. Ctrl-C ends it with a sentence and exit code 130 at any time."""
     try:
         interrupts.end_at_signals()
-        from taichi_bearings.later import collect_cycles_seldom, postpone
+        from taichi_bearings.later import collect_cycles_seldom
 
         collect_cycles_seldom()
-        postpone()
-        from taichi_bearings.memory import keep_freed
-
-        keep_freed()
         from taichi_bearings_cli.main import main as bearings
 
-        bearings()
+        bearings(_prepare)
     except KeyboardInterrupt:
         interrupts.ignore_signals()
         leaving.end_now(BEFORE)

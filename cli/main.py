@@ -6,6 +6,7 @@ import io
 import logging
 import os
 import sys
+from collections.abc import Callable
 from typing import Any
 
 import click
@@ -47,7 +48,11 @@ class LazyGroup(click.Group):
     """A group that lists its commands without importing them, so that --help answers at once.
 
     For an unknown command it suggests the one that was likely meant.
+
+    prepare : function that is called before a command is imported.
     """
+
+    prepare: Callable[[], None] = staticmethod(lambda: None)
 
     def resolve_command(self, context: click.Context, words: list[str]) -> Any:
         """Return what click needs to run the command that the first of the `words` names; for an unknown one the error,
@@ -65,6 +70,7 @@ class LazyGroup(click.Group):
         """Return the command with this name, imported now; None if there is none. The context of click is not used."""
         if name not in COMMANDS:
             return None
+        self.prepare()
         return importlib.import_module(f"taichi_bearings_cli.{name}").command
 
     def format_commands(self, context: click.Context, formatter: click.HelpFormatter) -> None:
@@ -88,8 +94,13 @@ def bearings() -> None:
     """
 
 
-def main() -> None:
-    """Run the command line, and exit. An error made by the user is one sentence and exit code 2, never a traceback."""
+def main(prepare: Callable[[], None] | None = None) -> None:
+    """Run the command line, and exit. An error made by the user is one sentence and exit code 2, never a traceback.
+
+    prepare : function that is called before a command is imported; None for none.
+    """
+    if prepare is not None:
+        bearings.prepare = prepare
     interrupts.raise_at_signals()
     os.environ["MPLBACKEND"] = "agg"  # a notebook's shell names its own, which need not be installed here
     os.environ.setdefault(

@@ -97,6 +97,11 @@ def test_a_command_does_without_them(tmp_path):
     )
 
 
+@pytest.mark.parametrize("words", ["--version", "--help"])
+def test_what_needs_no_command_loads_no_arrays(words):
+    assert "numpy" not in output(ALL_LOADED.format(words=["bearings", words])).stderr.split()
+
+
 DESCRIBED = """
 {before}
 import taichi_bearings.plots.style
