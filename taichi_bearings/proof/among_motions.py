@@ -12,14 +12,9 @@ Symbols
     C : (m, m), v = C w. It is 1 on the diagonal but for m' rows, one for each of m' slow contacts: there w is what the
     change of the slip across itself is, and the rows of B P C of these contacts have one entry, but for rounding.
 
-The proof is that of centre.py with the unknowns w. Any C is valid: a floor tau of |B P C w|^2 above 0 shows that C is
-regular, so that w stands for all v. Two bounds are closer here:
-* Only torques along the motions count, P^T r. What exactly rolling contacts exert has no part along them.
-* How far a slip turns. |B P C w| at the minimum is at most 9 tau^1/2 reach (centre.py has its factors: 3 x 2 / 0.72 <
-  9), and so is each of its rows: the change across a slip is at most that over (mu F_n / |y|)^1/2. A change d
-  with a part d_a across turns the slip y by an angle whose sine is at most |d_a| / (|y| - |d|), where |d| is at most a
-  quarter of |y|. Unit vectors at an angle below asin 1/4 differ by at most 1.01 times its sine: in all by less than 1.4
-  |d_a| / |y|.
+The proof is that of centre.py with the coordinates w. Any C is valid: a floor tau of |B P C w|^2 above 0 shows that C
+is regular, so that w stands for all v. Only torques along the motions count, P^T r: what exactly rolling contacts exert
+has no part along them.
 
 Example. A sphere is held by three contacts across x, y and z with stiffnesses 1e16, 1 and 1, and the first one is along
 (1, 1, 0) / 2^1/2, not along an axis. The matrix of its spins is 1e16 / 2 ((1, 1), (1, 1)) + 1: in doubles the 1 is
@@ -36,8 +31,8 @@ from scipy import sparse
 
 from taichi_bearings.dissection import Part
 from taichi_bearings.numerics.graphs import pieces
-from taichi_bearings.proof.centre import TINY, Centre, newton_step
-from taichi_bearings.proof.curvature import MOST_RELATIVE_CHANGE, Form, largest_eigenvalue
+from taichi_bearings.proof.centre import Centre, Coordinates
+from taichi_bearings.proof.curvature import Form
 from taichi_bearings.proof.enclosure import UP
 from taichi_bearings.proof.rounded_elimination import EPS, Elimination, Samples
 
@@ -52,20 +47,19 @@ FIRMER, ADDED, MOST_BALANCING = 1e2, 1e-13, 6
 
 
 @dataclass(frozen=True)
-class Reduced:
-    """The curvature as a quadratic form |B P C w|^2 of the coordinates w, of which there are m.
+class Reduced(Coordinates):
+    """The m coordinates w, with the curvature as a quadratic form |B P C w|^2 of them.
 
     form : the form.
     basis : C, (m, m).
     motions : P, (n, m), whole numbers.
     """
 
-    form: Form
     basis: sparse.csr_array
     motions: sparse.csr_array
 
     def along(self, values: np.ndarray) -> np.ndarray:
-        """Return C^T P^T values, (m,), from torques `values` (n,) on the unknown spin components."""
+        """Return the slope C^T P^T values, (m,), from torques `values` (n,) on the unknown spin components."""
         found: np.ndarray = self.basis.T @ (self.motions.T @ values)
         return found
 
@@ -78,6 +72,15 @@ class Reduced:
         whole = inexact + terms * EPS * np.abs(values)
         found: np.ndarray = abs(self.basis).T @ (abs(self.motions).T @ whole) * UP
         return found
+
+    def changes_of_slips(self, rows: sparse.csr_array, scale: np.ndarray) -> tuple[sparse.csr_array, np.ndarray]:
+        """Return what :meth:`Coordinates.changes_of_slips` does, from the same arguments. The length of a change is
+        bounded by the root of the sum of the squares of its entries."""
+        found, doubt = times_exact(rows, 0 * rows, self.motions)
+        found, doubt = times_exact(found, doubt, self.basis)
+        sizes = sparse.csr_array((abs(found) + doubt) @ sparse.diags_array(scale * UP))
+        squares = np.asarray(sizes.power(2).sum(axis=1)).reshape(3, -1).sum(axis=0)
+        return sizes, np.sqrt(squares) * UP
 
     def spins(self, scaled: np.ndarray) -> np.ndarray:
         """Return the changes (n,) of the unknown spin components for scaled coordinates `scaled` (m,)."""
@@ -136,6 +139,11 @@ class CentreAmongMotions(Centre):
         form = Form.of(rows, doubt, np.zeros((1, count)), parts=whole, samples=samples)
         return None if form is None else Reduced(form, basis, self.motions)
 
+    def coordinates(self) -> Reduced | None:
+        """Return the coordinates w with springs at the loose contacts that are like those of slipping ones; None if
+        some of them changes no slip."""
+        return self.reduced(self.usual_stiffness(self.resting[self.loose_places]))
+
     def improved(self) -> CentreAmongMotions:
         """Return spins closer to the minimum among those at which the resting contacts rest, and friction of these that
         balances all torques. Nothing about the result is proven. These are steps of Newton's method with one matrix, as
@@ -183,51 +191,6 @@ class CentreAmongMotions(Centre):
             assert factor is not None
             found = best.moved(np.zeros(len(torque)), (rows @ factor.solve(scale * torque)).reshape(3, -1))
         return best
-
-    def _distance_of_minimum(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return what :meth:`Centre._distance_of_minimum` does, proven as the head of this file says."""
-        size, strength, damping, to_v = self.size.most, self.strength.least, self.damping.most, self.distance_to_v
-        unproven = np.full(len(size), np.inf), np.full(len(size), np.inf), np.zeros(1, dtype=bool)
-        slips = bool((self.size.least[self.with_friction] > 0).all() and (self.loose.floor > 0).all())
-        curvature = self.reduced(self.usual_stiffness(self.resting[self.loose_places])) if slips else None
-        floor = None if curvature is None else curvature.form.floor_in_units()
-        if curvature is None or floor is None or not floor.tau.all():
-            return unproven
-        tau, scale = float(floor.tau[0]), curvature.form.scale * floor.unit
-        angle, size_error, size_by_law = self._distance_from_slip_direction(to_v)
-        # What is left of the slope after a step z of Newton's method: torques, and the doubt about the friction.
-        unsure, values = np.zeros(len(self.network.counts)), self.torque_values
-        unsure[self.slipping] = size_error + size_by_law * angle**2 * UP
-        inexact, there = self._largest_torques(unsure, values), self.number >= 0
-        slope = curvature.along(values[there])
-        pull, taken, rounded = newton_step(curvature.form, floor, slope)
-        left = np.abs(slope - taken) * UP + rounded + curvature.bounded_along(values[there], inexact[there])
-        of_law = float((size_by_law * size * angle**2 + damping * to_v**2).sum())
-        reach = float(np.linalg.norm(scale * left)) / tau + float(pull[0] + np.sqrt(of_law)) / np.sqrt(tau)
-        # Changes of slips: 8.4 is 12 of centre.py without the 2^1/2 that are in the length of the rows.
-        changes = self._changes_of_slips(curvature, scale)
-        lengths = np.sqrt(np.asarray(changes.power(2).sum(axis=1)).reshape(3, -1).sum(axis=0))
-        distance = (to_v + 8.4 * lengths * reach * UP**2 + TINY) * UP
-        across = np.where(strength > 0, 9 * np.sqrt(tau * size / np.maximum(strength, TINY)) * reach, np.inf)
-        turned = np.minimum(1.4 * self.relative_to_slip(to_v + across), 2 * self.relative_to_slip(distance)) * UP**2
-        # Two minima would differ by a motion that changes all slips along their directions alone. Its curvature would
-        # be no more than what is lost as slips turn, below tau / 8, but it is tau or more: so there is just one.
-        lost = np.tile(turned * np.sqrt(self.strength.most / self.size.least), 3)
-        lost = largest_eigenvalue(sparse.csr_array(sparse.diags_array(lost) @ changes), 6, Samples.one(len(scale)))
-        changes_little = (self.relative_to_slip(distance) <= MOST_RELATIVE_CHANGE).all()
-        return distance, turned, (lost * UP < tau / 8) & changes_little
-
-    def _changes_of_slips(self, curvature: Reduced, scale: np.ndarray) -> sparse.csr_array:
-        """Return bounds (3 S, m) on the sizes of the entries of the matrix that gives the changes of the slips of S
-        slipping contacts: x components of all, then y, then z.
-
-        curvature : the coordinates.
-        scale : (m,), the units in which they are meant.
-        """
-        rows = sparse.csr_array(self.rows[self.rows_of(self.slipping)])
-        rows, doubt = times_exact(rows, 0 * rows, curvature.motions)
-        rows, doubt = times_exact(rows, doubt, curvature.basis)
-        return sparse.csr_array((abs(rows) + doubt) @ sparse.diags_array(scale * UP))
 
 
 def times_exact(

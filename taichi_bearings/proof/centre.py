@@ -12,7 +12,7 @@ import numpy as np
 from scipy import sparse
 
 from taichi_bearings.dissection import Part
-from taichi_bearings.proof.curvature import MOST_RELATIVE_CHANGE, Floor, Form
+from taichi_bearings.proof.curvature import MOST_RELATIVE_CHANGE, Floor, Form, largest_eigenvalue
 from taichi_bearings.proof.enclosure import UP, Enclosure, length
 from taichi_bearings.proof.exact_motions import ExactMotions
 from taichi_bearings.proof.judged_network import JudgedNetwork
@@ -22,6 +22,7 @@ from taichi_bearings.proof.springs import slip_rows
 
 Kind = TypeVar("Kind", bound="Centre")
 TINY = 1e-290  # added to bounds that might underflow
+LOST_STEPS = 6  # power iterations that improve the bound on the curvature that is lost as slips turn
 # The numbers below belong to Newton's method, of which nothing has to be proven.
 FIRM, STIFFER, NEARBY = 1e4, 1e4, 3  # how stiff the springs at resting contacts are, see `_stiffness_of_springs`
 NEGLIGIBLE = 1e-20  # leftover torque, in units of the largest friction, that no proof notices
@@ -39,6 +40,46 @@ class LooseFloor:
 
     floor: np.ndarray
     unit: np.ndarray
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """The coordinates in which the distance of a minimum is bounded: m numbers from which the changes of the n unknown
+    spin components follow. Here they are these unknowns themselves, m = n.
+
+    form : the curvature of the potential, a quadratic form |B x|^2 of the coordinates x.
+    """
+
+    form: Form
+
+    def along(self, values: np.ndarray) -> np.ndarray:
+        """Return the slope (m,) of the potential along the coordinates, from torques `values` (n,) along the unknown
+        spin components."""
+        return values
+
+    def bounded_along(self, values: np.ndarray, inexact: np.ndarray) -> np.ndarray:
+        """Return bounds (m,) on how far `along(values)` is from the exact slope of torques within `inexact` of
+        `values`.
+
+        values, inexact : (n,) each.
+        """
+        return inexact
+
+    def changes_of_slips(self, rows: sparse.csr_array, scale: np.ndarray) -> tuple[sparse.csr_array, np.ndarray]:
+        """Return two things about the matrix (3 S, m) that gives the changes of the slips of S contacts from the
+        coordinates, x components of all contacts first, then y, then z:
+
+        1. a matrix of its shape with bounds on the sizes of its entries,
+        2. bounds (S,) on the length of the change of each slip, over that of the vector of all coordinates.
+
+        rows : (3 S, n), the matrix that gives these changes from the unknown spin components.
+        scale : (m,), the units in which the coordinates are meant.
+        """
+        contact = np.repeat(np.arange(rows.shape[0]) % max(rows.shape[0] // 3, 1), np.diff(rows.indptr))
+        largest = np.zeros(rows.shape[0] // 3)  # unit of the spin components that change a slip
+        np.maximum.at(largest, contact, scale[rows.indices])
+        # two spheres change a slip by up to 2^1/2 times that
+        return sparse.csr_array(abs(rows) @ sparse.diags_array(scale * UP)), np.sqrt(2) * UP * largest
 
 
 @dataclass(frozen=True)
@@ -382,6 +423,12 @@ class Centre:
         ends = self.network.graph.contact[:, self.slipping]
         return np.where(self._loose_spheres[ends].any(axis=0), 2 * change_of_spins[self._sample] * UP, 0.0)
 
+    def coordinates(self) -> Coordinates | None:
+        """Return the coordinates in which the minimum is bounded, with the curvature in them: here the n unknowns
+        themselves. None if some of them changes no slip."""
+        curvature = self.curvature()
+        return None if curvature is None else Coordinates(curvature)
+
     def _distance_of_minimum(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Bound how far the minimum is, the only one among the spins at which no resting contact slips; call these V.
         Return three arrays:
@@ -390,65 +437,78 @@ class Centre:
         2. for each a bound (S,) on the difference between the unit vectors along both, 0 without friction,
         3. the mask (R,) of the samples for which this is proven.
 
-        Proof: the curvature of the potential along V is at least tau, and its slope is small. The slope consists of the
-        torques r that friction leaves over, and of a vector a for the angle between friction and slip.
+        Proof: the curvature of the potential along V is at least tau, and its slope is small. With the bound `reach` of
+        it (`_reach`), and x the change of the coordinates to the minimum, each in its own unit,
+
+            |x| <= 8.4 reach    and    |B x| <= 9 tau^1/2 reach.
+
+        Where these factors come from (the product of these three is below 8.34):
+        1 / 0.72, as friction resists a change by at least that share of its curvature;
+        3, as the curvature that counts is that in V. It is at least 0.8 of |B x|^2 where slips are a quarter longer
+           there, times (1 - 8^-1/2)^2 as directions lose tau |x|^2 / 8 at most (checked here), which is at most
+           |B x|^2 / 8: that is 0.334 |B x|^2, more than a third;
+        2, as |B z| and |B x| are taken of B as doubles have it. What it misses has a norm d below 0.71 tau^1/2: the
+           proof of tau asks for 2 d m < tau, with m^2 >= tau above all eigenvalues, or for a number above 2 d^2 that is
+           below tau (`_floor_by_guess`).
+
+        How far a slip turns. |B x| bounds each of its rows: the change across a slip is at most that over
+        (mu F_n / |y|)^1/2. A change d with a part d_a across turns the slip y by an angle whose sine is at most
+        |d_a| / (|y| - |d|), where |d| is at most a quarter of |y|. Unit vectors at an angle below asin 1/4 differ by at
+        most 1.01 times its sine: in all by less than 1.4 |d_a| / |y|. They differ by no more than 2 |d| / |y|, too.
         """
-        size, damping, sample = self.size.most, self.damping.most, self._sample
+        size, strength, sample, to_v = self.size.most, self.strength.least, self._sample, self.distance_to_v
         slips = self._samples_where_all(self.size.least[self.with_friction] > 0, sample[self.with_friction])
-        curvature = self.curvature() if slips.any() else None
-        if curvature is None:
+        slips &= self.loose.floor > 0
+        coordinates = self.coordinates() if slips.any() else None
+        if coordinates is None:
             return np.full(len(size), np.inf), np.full(len(size), np.inf), np.zeros_like(slips)
-        floor, to_v, there = curvature.floor_in_units(), self.distance_to_v, self.number >= 0
-        tau, proven = floor.tau, slips & (floor.tau > 0) & (self.loose.floor > 0)
-        ends = self.network.graph.contact[:, self.slipping]
-        angle, size_error, size_by_law = self._distance_from_slip_direction(to_v)
-        scale = np.zeros(self.number.shape)
-        scale[there] = curvature.scale * floor.unit
-        # reach = (|B z| + |r - B^T B z| / tau^1/2 + |a|) / tau^1/2 in scaled unknowns x, each in its own unit, for the
-        # z of step 2. Times 12, see below, it bounds |x| at the minimum. Friction F at a small angle to the slip has a
-        # part F angle across it, which counts in the vector a: over the root of the curvature F / |y|, that of friction
-        # and damping together, it is angle (F |y|)^1/2. The part along the slip is shorter by F angle^2 / 2 at most,
-        # which counts in r, as does what the size of F misses.
-        pull, of_z, inexact = newton_step(curvature, floor, self.torque_values[there])
-        unsure, taken = np.zeros(len(self.network.counts)), np.zeros(self.number.shape)
-        unsure[self.slipping], taken[there] = size_error + size_by_law * angle**2 * UP, of_z
-        torque = self._largest_torques(unsure, taken)
-        torque[there] = (torque[there] + inexact) * scale[there]
-        reach = self._norms_on_spheres(torque, np.ones(len(scale), dtype=bool)) / tau + pull / np.sqrt(tau)
-        reach += np.sqrt(np.bincount(sample, size_by_law * size * angle**2 + damping * to_v**2, len(tau)) / tau)
-        largest = scale.max(axis=1)
-        # Where 12 comes from:
-        # 2, as two spheres change a slip by up to 2^1/2 scale |x|, and 2^1/2 / 0.72 < 2;
-        # 3, as the curvature that counts is that in V. It is at least 0.8 of |B x|^2 where slips are a quarter longer
-        #    there, times (1 - 8^-1/2)^2 as directions lose tau |x|^2 / 8 at most (checked below), which is at most
-        #    |B x|^2 / 8: that is 0.334 |B x|^2, more than a third;
-        # 2, as |B z| and |B x| are taken of B as doubles have it. What it misses has a norm d below 0.71 tau^1/2: the
-        #    proof of tau asks for 2 d m < tau, with m^2 >= tau above all eigenvalues, or for a number above 2 d^2 that
-        #    is below tau (`_floor_by_guess`).
-        distance = (to_v + 12 * largest[ends].max(axis=0) * reach[sample] * UP**2 + TINY) * UP
-        # A slip that changes by a share c of its size changes its unit vector by up to 2 c.
+        floor, samples = coordinates.form.floor_in_units(), coordinates.form.elimination.samples
+        tau, scale = floor.tau, coordinates.form.scale * floor.unit
+        reach = self._reach(coordinates, floor)
+        rows = sparse.csr_array(self.rows[self.rows_of(self.slipping)])
+        changes, lengths = coordinates.changes_of_slips(rows, scale)
+        distance = (to_v + 8.4 * lengths * reach[sample] * UP**2 + TINY) * UP
+        root = np.sqrt(tau[sample] * size / np.maximum(strength, TINY))
+        across = np.where(strength > 0, 9 * root * reach[sample], np.inf)
+        # fmin: the second bound holds alone where the first one is no number, as without any unknown
         relative_change = self.relative_to_slip(distance)
-        remains = self._curvature_remains(2 * relative_change, largest, tau)
+        turned = np.fmin(1.4 * self.relative_to_slip(to_v + across), 2 * relative_change) * UP**2
+        # Two minima would differ by a motion that changes all slips along their directions alone. Its curvature would
+        # be no more than what is lost as slips turn, turned^2 mu F_n / |y| for each: below tau / 8. But it is tau or
+        # more: so there is just one.
+        lost = np.tile(np.sqrt(turned * self.relative_to_slip(turned * self.strength.most)) * UP, 3)
+        lost = largest_eigenvalue(sparse.csr_array(sparse.diags_array(lost) @ changes), LOST_STEPS, samples)
         changes_little = self._samples_where_all(relative_change <= MOST_RELATIVE_CHANGE, sample)
-        return distance, 2 * relative_change, proven & changes_little & remains
+        return distance, turned, slips & (tau > 0) & changes_little & (lost * UP < tau / 8)
 
-    def _curvature_remains(self, turned: np.ndarray, largest: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """Return the mask (R,) of the samples in which the curvature is proven to stay positive where slips turn.
+    def _reach(self, coordinates: Coordinates, floor: Floor) -> np.ndarray:
+        """Return for each of R samples the number reach (R,), by which the distance of the minimum is bounded,
 
-        Two minima would differ by a motion that changes all slips along their directions alone. Its curvature would be
-        no more than what is lost, below tau / 8, but it is tau or more: so there is just one minimum.
+            reach = (|B z| + |r - B^T B z| / tau^1/2 + |a|) / tau^1/2,
 
-        turned : (S,), how far the unit vectors along the slips of S contacts may turn.
-        largest : (N,), what a change of the scaled unknowns by 1 changes on each of N spheres at most.
-        tau : (R,), the floor of the curvature in these unknowns.
+        in coordinates each of which has its own unit, for the motion z of :func:`newton_step`.
+
+        coordinates : the coordinates, with the matrix B.
+        floor : tau, the units, and a factor of B^T B.
+
+        The slope of the potential along V consists of the torques r that friction leaves over, and of the vector a for
+        the angle between friction and slip. Friction F at a small angle to the slip has a part F angle across it, which
+        counts in a: over the root of the curvature F / |y|, that of friction and damping together, it is
+        angle (F |y|)^1/2. The part along the slip is shorter by F angle^2 / 2 at most, which counts in r, as does what
+        the size of F misses.
         """
-        loss = np.zeros(len(largest))
-        for end in self.network.graph.contact[:, self.slipping]:
-            # Curvature lost as slips turn, shared among spheres: each contact loses up to turned^2 mu F_n / |y|; times
-            # 2, as |u_i + u_j|^2 <= 2 (|u_i|^2 + |u_j|^2). Contacts without friction lose nothing.
-            np.add.at(loss, end, 2 * turned * self.relative_to_slip(turned * self.strength.most))
-        remains: np.ndarray = (largest**2 * loss * UP).reshape(len(tau), -1).max(axis=1) < tau / 8
-        return remains
+        form, there, values = coordinates.form, self.number >= 0, self.torque_values
+        angle, size_error, size_by_law = self._distance_from_slip_direction(self.distance_to_v)
+        unsure = np.zeros(len(self.network.counts))
+        unsure[self.slipping] = size_error + size_by_law * angle**2 * UP
+        slope, inexact = coordinates.along(values[there]), self._largest_torques(unsure, values)
+        pull, taken, rounded = newton_step(form, floor, slope)
+        left = np.abs(slope - taken) * UP + rounded + coordinates.bounded_along(values[there], inexact[there])
+        of_angle = size_by_law * self.size.most * angle**2 + self.damping.most * self.distance_to_v**2
+        of_angle = np.bincount(self._sample, of_angle, len(floor.tau))
+        left = form.elimination.samples.norms(form.scale * floor.unit * left)
+        found: np.ndarray = left / floor.tau + (pull + np.sqrt(of_angle)) / np.sqrt(floor.tau)
+        return found
 
     def _distance_from_slip_direction(self, to_v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Compare the friction F of the S slipping contacts with the friction that the contact law demands for slips

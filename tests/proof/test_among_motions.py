@@ -10,15 +10,15 @@ from scipy import sparse
 import taichi_bearings as tb
 from taichi_bearings.proof import among_motions, oblique
 from taichi_bearings.proof.among_motions import CentreAmongMotions, basis_for, times_exact
-from taichi_bearings.proof.centre import Centre
+from taichi_bearings.proof.centre import Centre, Coordinates
 from taichi_bearings.proof.enclosure import Enclosure
 
 
-def test_states_are_proven_beside_a_contact_that_slips_by_a_ten_billionth(monkeypatch):
-    packing = tb.Packing.lattice("bcc", (7, 7, 7), seed=7)
+def test_states_are_proven_beside_a_contact_that_slips_by_a_ten_trillionth(monkeypatch):
+    packing = tb.Packing.lattice("bcc", (8, 8, 8), seed=33)
     found = tb.solve(packing)
     slips = packing.slip_speeds(found.spin)[found.state == 1]
-    assert slips.min() < 1e-10 * slips.max()
+    assert slips.min() < 1e-13 * slips.max()
     assert found.states_proven
     monkeypatch.setattr(among_motions, "MOST_MOTIONS", 0)
     assert not tb.solve(packing).states_proven
@@ -88,6 +88,32 @@ def test_rows_become_unknowns_of_their_own(seed):
     single = np.abs(np.abs(after).max(axis=1) - 1) + np.sort(np.abs(after), axis=1)[:, -2] < 1e-9
     assert single.sum() >= np.linalg.matrix_rank(rows)
     assert np.linalg.matrix_rank(after[single]) == np.linalg.matrix_rank(rows)
+
+
+@pytest.mark.parametrize("of_motions", [True, False])
+def test_slips_change_by_no_more_than_is_bounded(centre, of_motions):
+    """By entries and by lengths; expected are changes by drawn coordinates, and by single ones."""
+    coordinates = centre.coordinates() if of_motions else Coordinates(centre.curvature())
+    rows, count = sparse.csr_array(centre.rows[centre.rows_of(centre.slipping)]), coordinates.form.rows.shape[1]
+    rng = np.random.default_rng(5)
+    scale = np.exp2(rng.integers(-6, 7, count))
+    sizes, lengths = coordinates.changes_of_slips(rows, scale)
+    drawn = np.column_stack([rng.standard_normal((count, 50)), np.eye(count)[:, :: max(count // 50, 1)]])
+    moved = scale[:, None] * drawn
+    changes = rows @ (coordinates.motions @ (coordinates.basis @ moved) if of_motions else moved)
+    assert (np.abs(changes) <= sizes @ np.abs(drawn) + 1e-14 * np.abs(changes).max()).all()
+    longest = np.linalg.norm(changes.reshape(3, -1, drawn.shape[1]), axis=0)
+    assert (longest <= lengths[:, None] * np.linalg.norm(drawn, axis=0) * (1 + 1e-12)).all()
+    assert (longest.max(axis=1) >= lengths / 10 - 1e-12).all()  # some are 0 but for rounding
+    assert lengths.max() > 1
+
+
+def test_nothing_slips_or_moves_without_a_contact_or_an_unknown():
+    coordinates = Coordinates(None)
+    for shape in ((0, 4), (6, 0), (0, 0)):
+        sizes, lengths = coordinates.changes_of_slips(sparse.csr_array(shape), np.ones(shape[1]))
+        assert sizes.shape == shape
+        assert lengths.tolist() == [0.0] * (shape[0] // 3)
 
 
 def test_errors_of_products_are_within_their_bounds_in_fractions():
