@@ -173,7 +173,9 @@ def _no_power(solution: Solution, settings: RunSettings) -> Iterator[str]:
             "left and feel the imposed spins joins bottom and top"
         )
     elif still.any():
-        yield f"the least power is 0{_in_samples(still)}: the spins can be such that no contact slips"
+        among = np.asarray(solution.findings.get("driven_power", 0.0)) > 0
+        others = " but those between driven spheres" if (still & among).any() else ""
+        yield f"the least power is 0{_in_samples(still)}: the spins can be such that no contact slips{others}"
 
 
 def _unfinished(solution: Solution, settings: RunSettings) -> Iterator[str]:

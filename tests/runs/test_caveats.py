@@ -56,6 +56,15 @@ def test_weak_contacts_whose_states_are_all_proven_are_not_warned_of():
     assert found.warnings == []
 
 
+def test_contacts_between_driven_discs_that_slip_are_not_said_to_roll():
+    """Two driven discs turn alike, so they slip on each other; the free disc beside them rolls on one."""
+    row = tb.Packing([[0, 0], [1, 0], [2, 0]], [[0, 1], [1, 2]], [0, 1, -1], [1.0, 1.0, 0.0], friction=[0.5, 0.5])
+    found = tb.solve(row, threads=1)
+    assert (found.power, found.driven_power) == (0.0, 50 * 0.5 * 1.0)
+    (sentence,) = found.warnings
+    assert sentence.endswith("no contact slips but those between driven spheres")
+
+
 def test_undecided_contacts_of_a_film_have_no_friction_limit():
     """A film resists every slip; without a proof one only knows that a contact slips in the answer."""
     found = tb.solve(tb.Packing.lattice("fcc", (2, 2, 2), seed=3, law="viscous"), "gradient-descent", iterations=2)
