@@ -252,8 +252,8 @@ def axis_numbers(names: Sequence[str]) -> tuple[int, ...]:
 
 
 def tangential(axis: int, spin_axes: tuple[int, ...]) -> tuple[int, ...]:
-    """Return the positions in `spin_axes` (axes of spin components) of those that make a contact along `axis` slip: all
-    but the one along it."""
+    """Return which spin components make a contact along `axis` slip, as positions in `spin_axes` (the axes of the
+    components): all but the component along the contact."""
     return tuple(slot for slot, component in enumerate(spin_axes) if component != axis)
 
 

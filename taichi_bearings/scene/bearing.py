@@ -174,8 +174,8 @@ class Bearing(ABC):
 
     @cached_property
     def smallest_jump(self) -> float:
-        """The smallest, over the components in `minimum_spin_axes`, of the largest size of an imposed spin in this
-        component.
+        """The largest size of an imposed spin in a component, for the component of `minimum_spin_axes` where it is
+        smallest.
 
         Spins are in the form that solvers store: on lattices 1/time, measured from the bottom. It is 0 if top and
         bottom agree in a component, and if :meth:`box` knows no bounds.

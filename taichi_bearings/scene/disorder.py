@@ -1,7 +1,7 @@
-"""Random contact coefficients from a seed, the same on any machine, but for the last digits of those that need an
-exponential or a power, whose rounding depends on the processor.
+"""Random contact coefficients from a seed, the same on any machine. Only distributions that need an exponential or a
+power may differ in the last digits, as their rounding depends on the processor.
 
-Those of a lattice are drawn axis by axis, in the order x, y, z: one array of numbers for all contacts along an axis.
+Coefficients of a lattice are drawn axis by axis, x, y, z: one array for all contacts along an axis.
 """
 
 from collections.abc import Callable

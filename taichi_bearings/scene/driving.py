@@ -176,8 +176,8 @@ class Driving:
 
     @property
     def sides(self) -> tuple[float, float]:
-        """The largest imposed surface speed R omega of the top, the driven body with the largest number, and that of
-        all other driven spheres, length/time.
+        """Two speeds, length/time: the largest imposed surface speed R omega of the top, the driven body with the
+        largest number, and the largest of all other driven spheres.
         """
         speed, top = np.linalg.norm(self.speed, axis=1), self.is_top
         return float(speed[top].max(initial=0.0)), float(speed[~top].max(initial=0.0))
@@ -206,7 +206,7 @@ class Driving:
     @cached_read_only
     def heights(self) -> np.ndarray:
         """(spheres N,) height of each sphere: 0 on the driven body with the smallest number, 1 on that with the
-        largest. That of a free sphere is the mean of those of its neighbours; it is 0 in parts that are not joined to
+        largest. A free sphere has the mean height of its neighbours; the height is 0 in parts that are not joined to
         either body.
         """
         from scipy.sparse import csr_array

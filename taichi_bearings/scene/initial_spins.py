@@ -33,7 +33,7 @@ def random_spin(bearing: Bearing) -> np.ndarray:
 
 
 def linear_spin(bearing: Bearing) -> np.ndarray:
-    """Return the laboratory spins, 1/time, of least power if all contacts had the same viscosity.
+    """Return the laboratory spins, 1/time, that would have the least power if all contacts had the same viscosity.
 
     bearing : what the spins are for.
 

@@ -281,8 +281,7 @@ class Network:
         return least * (1 + 1e-9)
 
     def along_axes(self, contact: np.ndarray) -> bool:
-        """Return True if spin components do not mix in the slips of these contacts: in 2D, or if all normals lie along
-        the axes.
+        """Return True if no slip of these contacts mixes spin components: in 2D, or if all normals lie along the axes.
 
         contact : (n,) numbers of the contacts.
         """

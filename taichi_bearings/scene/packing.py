@@ -305,8 +305,8 @@ class Packing(Bearing):
         return found
 
     def as_stepped(self, spins: np.ndarray, at_rest: np.ndarray) -> "Packing":
-        """Return a copy for methods that make steps: with those contacts alone that can slip, neither absent nor
-        between driven spheres, and with `jump` and `is_cut_off` set.
+        """Return a copy for methods that make steps. It has only the contacts that can slip, which are neither absent
+        nor between driven spheres, and `jump` and `is_cut_off` are set.
 
         spins : radius * spin at the start, (components C, 1, spheres N), length/time. Their largest size becomes
             `jump`, the unit of speeds, if imposed spins do not differ.

@@ -125,7 +125,7 @@ class Progress:
 
     iteration : iterations so far.
     staggered : spins (components C, R, spheres *N) in the form that solvers store: on lattices with signs that
-        alternate between neighbours, less that of the bottom, 1/time; in packings radius * spin, length/time.
+        alternate between neighbours, less those of the bottom, 1/time; in packings radius * spin, length/time.
     spin_axes : numbers of their components.
     rest : (C, R, *N), small numbers to add to them, from a method that knows its spins beyond rounding; else None.
     force : contact forces (slip components d, R, contacts E), along the spin differences of the contacts.
@@ -143,8 +143,8 @@ class Progress:
     state : contact states (R, E) that the method has established, else None; TIED is then a guess of the method.
     slip : slip speeds (R, E), length/time, if they are more precise than those of the spins, else None.
     settled : (R,) mask of the samples whose states are final.
-    states_believed : (R,) mask of the samples whose states the method takes for those of every minimum; the proof is
-        made elsewhere.
+    states_believed : (R,) mask of the samples in which the method takes its contact states for the states at every
+        minimum, without a proof.
     settles_more : True if further iterations would settle more contact states, whatever the gap.
     findings : other results of the method, by name, (R,) each.
     columns : numbers of this check for the history, by name, (R,) each.

@@ -205,7 +205,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
         self.resumable = resumable
 
     def next_check(self, iteration: int) -> int:
-        """Return the iteration at which to read the progress next: that of the next check for rest, or the first step
+        """Return the iteration at which to read the progress next: at the next check for rest, or after the first step
         that reaches the simulated time `aim`, whichever comes first.
 
         iteration : the one at which it is read now.

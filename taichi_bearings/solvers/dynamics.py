@@ -60,7 +60,7 @@ class RestWatch:
     """Counts the checks in a row at which a dynamics has not changed.
 
     least, share : the next check is `least` + iteration // `share` iterations after the last one.
-    later : a check counts if the simulated time has grown by this fraction since the last one that counted.
+    later : a check counts if the simulated time has grown by this fraction since the last check that counted.
     last_objective : (R samples,), the objective at the last check that counted.
     last_slipping : number of slipping contacts then, of all samples.
     quiet_checks : how many checks in a row found no change.
@@ -214,7 +214,7 @@ class Dynamics(Method):
         self.imposed = self.differences(self.absolute(staggered) * self.scene.is_driven)
 
     def add_energies(self, before: np.ndarray, after: np.ndarray, force: np.ndarray, duration: float) -> None:
-        """Add the energies of one step to the balance: the work of the contacts, and that of the driven spheres.
+        """Add the energies of one step to the balance: the work of the contacts and the work of the driven spheres.
 
         before, after : (C components, R samples, *N spheres), spins at the two ends of the step, with signs that
             alternate between neighbours, 1/time; in a packing radius * spin.
@@ -283,8 +283,8 @@ class SpringDynamics(Dynamics):
         and the elongations of the springs (C, R, E), length."""
 
     def damping_force(self, staggered: np.ndarray) -> np.ndarray:
-        """Return the forces (C components, R samples, E contacts) of contacts whose springs are not stretched: that of
-        the damper, cut off at the friction limit, plus that of the viscosity.
+        """Return the forces (C components, R samples, E contacts) of contacts whose springs are not stretched: the
+        force of the damper, cut off at the friction limit, plus the viscous force.
 
         staggered : (C, R, *N spheres), spins with signs that alternate between neighbours, 1/time; in a packing radius
             * spin.

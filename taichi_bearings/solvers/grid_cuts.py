@@ -103,9 +103,10 @@ class GridCuts(Part):
         states[where] = np.where(tied, ContactState.TIED, np.where(cut, ContactState.SLIPPING, states[where]))
 
     def _next_over_minimum(self) -> np.ndarray:
-        """Return the power of the second lightest cut over that of the lightest, (R samples,): 1 where a plane has two
-        lightest cuts, above 1 elsewhere, infinite without another cut, and not-a-number where it is not known.
+        """Return the power of the second lightest cut over the power of the lightest, (R samples,): 1 where a plane has
+        two lightest cuts, above 1 elsewhere, infinite without another cut, and not-a-number where it is not known.
         """
+        # the least weight that another cut of a plane adds; not-a-number if one is unknown, unless another is 0
         least = np.where((self.further == 0).any(axis=1), 0.0, self.further.min(axis=1))
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = 1 + least / self.weight.sum(axis=1)
@@ -116,7 +117,7 @@ class GridCuts(Part):
         and lower bound.
 
         It has two findings, (R samples,): `cut_is_unique`, True if each plane has one minimum cut, and
-        `next_cut_over_minimum`, the power of the second lightest cut over that of the lightest. A cut of a cubic
+        `next_cut_over_minimum`, the power of the second lightest cut over the power of the lightest. A cut of a cubic
         lattice is a cut of every plane, and the second lightest differs from the lightest in one plane.
         """
         scene, axes, cut = self.scene, self.spin_axes, self.iteration > 0

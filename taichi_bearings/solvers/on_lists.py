@@ -78,8 +78,8 @@ class OnLists(Stepped):
         return self.scene.network.tangents
 
     def field_spec(self, spheres: dict[str, int], contacts: list[str]) -> ListSpec:
-        """Return the fields that a method needs: a tuple for those of spheres, and one for those of contacts, of pairs
-        (name, how many numbers each sphere or contact has in it).
+        """Return the fields that a method needs, as two tuples, of spheres and of contacts, of pairs (name, how many
+        numbers each sphere or contact has in the field).
 
         spheres : how many numbers each sphere has, by the name of the field.
         contacts : names of the method's fields on contacts; those of the law and the tangents are added.
@@ -376,6 +376,6 @@ class StepsReached(PackingReached):
 def team_of(fields: Fields, spec: ListSpec) -> Team:
     """Return the threads for sweeps over some fields, as many as make them faster.
 
-    spec : names and sizes of the fields of spheres, and of those of contacts.
+    spec : two tuples, for spheres and for contacts, of pairs (name of a field, its numbers for each of them).
     """
     return Team(team_size(fields.layout, sum(count for _, count in spec[0])))

@@ -65,7 +65,7 @@ class Look:
     axis and each spin component that makes its contacts slip.
 
     friction, balanced, capped : (C, R, E), the trial forces, each cut off at its friction limit; the forces of the
-        springs; these cut off likewise. They are 0 until `look` has filled them.
+        springs; and these forces, each cut off at its friction limit. They are 0 until `look` has filled them.
     """
 
     def __init__(
@@ -79,7 +79,8 @@ class Look:
         spin_axes : axes of the C spin components.
         staggered : (C, R, *N spheres), the spins of the iterate, with signs that alternate between neighbours, 1/time.
         trial : (V, R, *N), the trial force of each contact, at its lower sphere.
-        springs : stiffness (R,) of springs sideways, force * time; and over it that of those along each axis.
+        springs : stiffness (R,) of the springs sideways, force * time; and for each axis the stiffness of its springs
+            divided by that.
         """
         self.scene, self.stencil, self.layout, self.spin_axes = scene, stencil, layout, spin_axes
         self.staggered, self.trial, (self.stiffness, self.weights) = staggered, trial, springs
@@ -157,8 +158,8 @@ class Look:
         spins : two lists, the spin components of the lower and of the upper spheres, 1/time.
         trial : components of the trial forces, those of the method before they are cut off at the friction limits.
         found : three lists of arrays that are written: friction, the trial forces cut off; the forces of the springs,
-            weight * stiffness * (upper less lower spin) - trial + 2 * friction; and the same cut off.
-        limit : coefficient of each contact, 0 where it takes no part, and one over its friction limit, likewise.
+            weight * stiffness * (upper less lower spin) - trial + 2 * friction; and these forces cut off.
+        limit : two arrays: coefficients, and one over the friction limits; both 0 for contacts that take no part.
         """
         scene, (friction, balanced, capped), (coefficient, inverse_limit) = self.scene, found, limit
         radius, by_sample = scene.lattice.radius, (-1, *(1,) * (inverse_limit.ndim - 1))
@@ -172,11 +173,11 @@ class Look:
         # slips, and the power of the spins
         difference = [high - low for low, high in zip(*spins, strict=True)]
         slip = self._length(difference)
-        slip *= radius
+        slip *= radius  # in place, as below: further arrays would not fit into the cache
         creep = float(np.max(slip, where=bears, initial=0.0))
         slip *= coefficient
         power = scene.strength * slip.reshape(len(slip), -1).sum(axis=1)
-        # forces of the springs, and the same cut off
+        # forces of the springs, and these forces cut off at the friction limits
         stiffness = (weight * self.stiffness[samples]).reshape(by_sample)
         for force, of, cut, step in zip(balanced, trial, friction, difference, strict=True):
             np.multiply(step, stiffness, out=step)

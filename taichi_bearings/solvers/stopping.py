@@ -125,8 +125,7 @@ def ended_as(status: Status, found: Solution, stop: StopRule, is_dynamics: bool)
     """Return the status of an answer, from the status with which its loop ended and from what its proof has shown.
 
     An answer may be certified even where the loop knew less. If the loop was certified but the proof shows less, the
-    answer is STALLED; but that of a dynamics is STATIONARY if a lower bound is 0, since then no relative gap can be
-    small.
+    answer is STALLED; or STATIONARY, for a dynamics with a lower bound of 0, for which no relative gap can be small.
 
     status : status of the loop.
     found : the answer with its proven gap.

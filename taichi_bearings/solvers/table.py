@@ -78,10 +78,10 @@ def _why_not_stepped(law: Law, method: str) -> str:
 # bytes for each sphere of a lattice of 2 or 3 dimensions while its answer is judged: the answer, and enclosures (16 or
 # 24 bytes a number) of the slips, forces and moments of 2 or 3 contacts a sphere; the peak that tracemalloc shows
 JUDGED_BYTES = {2: 1000.0, 3: 1500.0}
-SPLITTING_BYTES = 1200.0  # the same in 3D after operator splitting, which has given back its fields by then
+SPLITTING_BYTES = 1200.0  # in 3D after operator splitting, which has given back its fields by then
 # seconds for each sphere of a lattice to judge its answer, write it, and seal it with checksums
 JUDGED_SECONDS = {2: 5e-6, 3: 1.5e-5}
-SPLITTING_JUDGED_SECONDS = 6e-6  # the same in 3D after operator splitting, which proves no contact states
+SPLITTING_JUDGED_SECONDS = 6e-6  # in 3D after operator splitting, which proves no contact states
 # bytes for each sphere in a method that factorises, in addition to the numbers of the factor: some 20 rows of the
 # contacts along the path, the pattern of the factor and its tables
 FACTORISING_BYTES = {2: 2800.0, 3: 4800.0}
@@ -351,8 +351,8 @@ class InteriorPoint(MethodOptions):
 
     @classmethod
     def bytes(cls, shape: Sequence[int], periodic: Sequence[int] = ()) -> float:
-        """Return the memory, bytes, that one sample takes: the larger of that of the factorisation and that of its
-        answer.
+        """Return the memory, bytes, that one sample takes, which is that of the factorisation or of judging its answer,
+        whichever is larger.
 
         shape : shape of the lattice.
         periodic : numbers of the periodic axes.
@@ -560,8 +560,8 @@ class RigidLimit(Motion):
 
     @classmethod
     def bytes(cls, shape: Sequence[int], periodic: Sequence[int] = ()) -> float:
-        """Return the memory, bytes, that one sample takes: the larger of that of the factorisation and that of its
-        answer.
+        """Return the memory, bytes, that one sample takes, which is that of the factorisation or of judging its answer,
+        whichever is larger.
 
         shape : shape of the lattice.
         periodic : numbers of the periodic axes.

@@ -45,10 +45,9 @@ class TorqueBalance:
         that is less.
     folds : True if columns are folded.
     sines : on a GPU the matrix (nz - 2, nz - 2) of the sine transform, flat. On a CPU a list of square matrices with a
-        row for each sphere (driven ones have 0) and a column for each sine: one matrix of whole columns (nz, nz), or,
-        where they are folded, that of the even and that of the odd sines, for the lower half of a column, filled up to
-        whole blocks by 0.
-    inverse : a list with the matrices by which amplitudes of the sines are multiplied, on a CPU.
+        row for each sphere (driven ones have 0) and a column for each sine: one matrix (nz, nz); or, for folded
+        columns, one of the even and one of the odd sines for the lower half of a column, padded by 0 to whole blocks.
+    inverse : on a CPU a list of the matrices of the inverse transform.
     column : numbers of a column in `modes`, on a CPU whole blocks.
     chains : flat, inverse pivots by which the chains, one for each mode, are solved.
     modes, folded : flat, the transformed field, where solutions replace pulls; and the field with its columns folded
@@ -74,7 +73,7 @@ class TorqueBalance:
         weights : relative stiffness of the springs along each axis of the lattice, one number each; all axes but the
             height have the same.
         fields : the numbers of the fields; `pull` will be read, and `potential` changed.
-        folds : True to fold columns on a CPU, which gains more than it costs on large lattices.
+        folds : True to fold columns on a CPU, which saves time on large lattices.
         """
         layout, height, self.weight = fields.layout, fields.layout.shape[-1], weights[0]
         self.fields, on_gpu = fields, runtime.current().is_gpu
@@ -114,7 +113,7 @@ class TorqueBalance:
         self._compile()
 
     def _compile(self) -> None:
-        """Compile the kernels of a CPU: that of the chains for numbers of the type of the modes, others for those of
+        """Compile the kernels of a CPU: the kernel of the chains for the type of the modes, the others for the type of
         the fields. Kernels of a GPU are compiled when they are first called."""
         if self.workers:
             with runtime.computing_in(self.products.name):
