@@ -83,7 +83,7 @@ class BetweenTwo:
 
         pulls : the n contacts that bear all their friction.
         contacts : slips of those of them that slip."""
-        links = _closed(pulls, _links(pulls, contacts))
+        links = _closed(pulls, _links(pulls, contacts, _quiet(pulls)))
         held: tuple[list[int], list[int]] = ([], [])
         labels: tuple[list[int], list[int]] = ([], [])
         slots, sets, undecided = [], [], np.zeros(len(pulls.own), dtype=bool)
@@ -124,12 +124,24 @@ def _arrays(lists: tuple[list[int], list[int]]) -> tuple[np.ndarray, np.ndarray]
     return np.array(lists[0], dtype=int), np.array(lists[1], dtype=int)
 
 
-def _links(pulls: Pulls, contacts: Slipping) -> list[Link]:
-    """Return all links: groups of spheres without a driven one that turn as one in both components, and that contacts
-    which slip in both connect with just two others, with the same friction in all.
+def _quiet(pulls: Pulls) -> np.ndarray:
+    """Return the mask (2, spheres), by component, of the spheres in slipless domains without a driven sphere on which
+    the exactly known pulls cancel.
+
+    pulls : the contacts that bear all their friction."""
+    cancels = [pulls.known_pulls_cancel_at(label, slot)[label] for slot, label in enumerate(pulls.slipless_domain)]
+    free = [label >= pulls.imposed_labels(pulls.slipless_domain, s) for s, label in enumerate(pulls.slipless_domain)]
+    found: np.ndarray = np.array(cancels) & np.array(free)
+    return found
+
+
+def _links(pulls: Pulls, contacts: Slipping, quiet: np.ndarray) -> list[Link]:
+    """Return all links: groups of spheres that turn as one in both components, and that contacts which slip in both
+    connect with just two others, with the same friction in all.
 
     pulls : the contacts that bear all their friction.
-    contacts : slips of those of them that slip."""
+    contacts : slips of those of them that slip.
+    quiet : (2, spheres) mask of the spheres that links may have in either component."""
     label, found = pulls.same_in_both, []
     # contacts that slip in both components, between two domains in either
     spans = pulls.in_s & pulls.turned_by.all(axis=0)
@@ -138,7 +150,8 @@ def _links(pulls: Pulls, contacts: Slipping) -> list[Link]:
     ends = label[np.stack([pulls.lower[spans], pulls.upper[spans]])]
     pairs = np.unique(np.concatenate([ends, ends[::-1]], axis=1), axis=1)
     inner = np.bincount(pairs[0], minlength=int(label.max()) + 1) == 2
-    for sphere in np.unique(label, return_index=True)[1][inner]:
+    spheres = np.unique(label, return_index=True)[1][inner]
+    for sphere in spheres[quiet[:, spheres].all(axis=0)]:
         first, second = (int(pulls.slipless_domain[slot, sphere]) for slot in range(2))
         chosen = np.flatnonzero(spans & pulls.crossing(label, label[sphere]))
         up = label[pulls.upper[chosen]] == label[sphere]
@@ -156,16 +169,13 @@ def _links(pulls: Pulls, contacts: Slipping) -> list[Link]:
 
 def _closed(pulls: Pulls, links: list[Link]) -> list[Link]:
     """Return those links both of whose nodes are pulled by links alone: all turning contacts at a node are those of
-    such links, all other pulls on it cancel exactly, and it contains no driven sphere.
+    such links.
 
     pulls : the contacts that bear all their friction.
     links : candidates."""
-    known = [pulls.known_pulls_cancel_at(pulls.slipless_domain[slot], slot) for slot in range(2)]
-    imposed = [pulls.imposed_labels(pulls.slipless_domain, slot) for slot in range(2)]
     turning = {
         (slot, label): set(np.flatnonzero(pulls.turned_at(label, slot)).tolist())
         for slot, label in {node for link in links for node in link.nodes}
-        if label >= imposed[slot] and known[slot][label]
     }
     while True:
         at: dict[Node, set[int]] = {node: set() for node in turning}

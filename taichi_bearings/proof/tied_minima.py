@@ -72,6 +72,7 @@ are tied.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -198,14 +199,15 @@ def tied_states(motion: Motion, contacts: Slipping) -> tuple[np.ndarray, bool | 
     for missed in MISSED_LIMITS:
         saturated: Saturated | None = Saturated.of(motion, missed)
         while saturated is not None:
-            pulls = _pulls(motion, contacts, saturated, coefficient)
+            pulls = _pulls(contacts, saturated, coefficient)
             limits = ObliqueLimits.of(pulls)
-            wrong = pulls.driven if limits is None else not_balanced(pulls, limits.between)
-            if limits is not None and not wrong.any():
-                found = _tied_states(motion, contacts, saturated, pulls, limits)
-                if found is not None:
-                    return found
-            saturated = None if limits is None else saturated.without(wrong)
+            if limits is None:
+                break
+            wrong = not_balanced(pulls, limits.between)
+            found = None if wrong.any() else _tied_states(motion, contacts, saturated, pulls, limits)
+            if found is not None:
+                return found
+            saturated = saturated.without(wrong)
     return None
 
 
@@ -246,14 +248,24 @@ class Saturated:
     Two spin components make contacts slip in such a sample; their numbers are `network.needed`, and `slot` 0 or 1 says
     which of the two is meant.
 
-    network : the sample, with E contacts.
+    motion : the stored spins of the sample, with E contacts, and which of them rest.
     mask : (E,), which contacts these are.
     along : (2, E) mask, for either component those of them that bear friction along it.
     """
 
-    network: JudgedNetwork
+    motion: Motion
     mask: np.ndarray
     along: np.ndarray
+
+    @property
+    def network(self) -> JudgedNetwork:
+        """The sample."""
+        return self.motion.network
+
+    @cached_property
+    def firm(self) -> Motion:
+        """The motion in which none of these contacts is taken to rest."""
+        return self.without_rest(self.mask)
 
     @classmethod
     def of(cls, motion: Motion, missed: float) -> Saturated:
@@ -267,7 +279,7 @@ class Saturated:
         parts = np.abs([network.moment[k].high for k in network.needed])
         mask = motion.rests & (np.hypot(*parts) >= (1 - missed) * strength) & network.counts
         along = (parts == parts.max(axis=0)) | (parts > (MISSED_ACROSS * missed) ** 0.5 * strength)
-        return cls(network, mask, mask & along)
+        return cls(motion, mask, mask & along)
 
     @property
     def oblique(self) -> np.ndarray:
@@ -283,7 +295,7 @@ class Saturated:
         parts = [self.network.moment[k].high for k in self.network.needed]
         at = [self.along[slot] & (wrong[slot, first] | wrong[slot, second]) for slot in range(2)]
         leave = (at[0] | at[1]) & (np.hypot(*parts) < (1 - SURELY_FULL) * strength)
-        return Saturated(self.network, self.mask & ~leave, self.along & ~leave) if leave.any() else None
+        return Saturated(self.motion, self.mask & ~leave, self.along & ~leave) if leave.any() else None
 
     def friction(self, slot: int) -> Enclosure:
         """Return an enclosure (n,), for each of n saturated contacts the moment n x F, in units of force, that it has
@@ -293,13 +305,11 @@ class Saturated:
         sign = np.sign(self.network.moment[self.network.needed[slot]].high[own])
         return self.network.holding.at(own).signed(sign * self.along[slot, own])
 
-    def motion_of(self, motion: Motion, slot: int | None) -> Motion:
-        """Return `motion` with saturated contacts no longer taken to rest.
+    def without_rest(self, moves: np.ndarray) -> Motion:
+        """Return the motion in which some contacts are no longer taken to rest.
 
-        slot : 0 or 1 for those saturated contacts only that bear friction along this component; None for all.
-        """
-        moves = self.mask if slot is None else self.along[slot]
-        return Motion(self.network, motion.rests & ~moves) if moves.any() else motion
+        moves : (E,) mask of these contacts."""
+        return Motion(self.network, self.motion.rests & ~moves) if moves.any() else self.motion
 
     def missing_friction(self, of_oblique: np.ndarray) -> dict[int, np.ndarray]:
         """Return by spin component k that matters, as a dictionary, a bound (spheres,) on an error of the torque over
@@ -320,15 +330,14 @@ class Saturated:
         return found
 
 
-def _pulls(motion: Motion, contacts: Slipping, saturated: Saturated, coefficient: np.ndarray) -> Pulls:
+def _pulls(contacts: Slipping, saturated: Saturated, coefficient: np.ndarray) -> Pulls:
     """Return the contacts of one sample that bear all their friction, and the domains (groups of spheres that turn as
     one) that these and the resting contacts make.
 
-    motion : the sample, and which of its contacts rest.
     contacts : those that slip.
     saturated : those that do not slip and yet bear all their friction.
     coefficient : (E, p), friction limits of all E contacts, in exact proportions, as sums of p doubles."""
-    network, in_c = motion.network, np.flatnonzero(saturated.mask)
+    motion, network, in_c = saturated.motion, saturated.network, np.flatnonzero(saturated.mask)
     components = len(network.needed)
     own = np.append(contacts.own, in_c)
     lower, upper = network.graph.contact[:, own]
@@ -339,8 +348,8 @@ def _pulls(motion: Motion, contacts: Slipping, saturated: Saturated, coefficient
         np.array([_numbered(own, k) for own, k in zip(motions, network.needed, strict=True)])
         for motions in (
             [motion] * components,
-            [saturated.motion_of(motion, None)] * components,
-            [saturated.motion_of(motion, slot) for slot in range(components)],
+            [saturated.firm] * components,
+            [saturated.without_rest(along) for along in saturated.along],
         )
     )
     return Pulls(
@@ -447,9 +456,8 @@ def _minimum_with_held(
     cancel = all(pulls.known_pulls_cancel_at(pulls.welded_slipless[slot], slot)[1:].all() for slot in range(2))
     if not (same.all() and cancel and between.lie_between(pulls, found, relative_change)):
         return None
-    firm = saturated.motion_of(motion, None)
     missing = saturated.missing_friction(limits.missed(motion.network, pulls, found, relative_change))
-    return near if bearable(firm, found, relative_change, missing) else None
+    return near if bearable(saturated.firm, found, relative_change, missing) else None
 
 
 def _with_oblique(
