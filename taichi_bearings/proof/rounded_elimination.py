@@ -33,6 +33,7 @@ EPS = np.finfo(np.float64).eps
 # spheres have pieces of some 200, and to divide these takes longer than it spares
 REGION_UNKNOWNS, WHOLE_UNKNOWNS = 150, 450
 MOST_RUNS = 12  # groups of rows that follow each other, up to which an update is added group by group
+ADDED_COLUMNS = 256  # columns of an update that are added at once, from the first one's diagonal down
 Columns = tuple[np.ndarray, np.ndarray]
 """Columns of the factor for the own unknowns of a front: their rows (own, own), and those of its border (border,
 own)."""
@@ -188,7 +189,9 @@ class Elimination:
                 own = np.searchsorted(at, front.own)
                 _add_at(pivots, at[:own], at[:own], update[:own, :own])
                 _add_at(below, at[own:] - front.own, at[:own], update[own:, :own])
-                _add_at(rest, at[own:] - front.own, at[own:] - front.own, update[own:, own:])
+                for begin in range(own, len(at), ADDED_COLUMNS):  # the lower triangle is enough
+                    columns = slice(begin, begin + ADDED_COLUMNS)
+                    _add_at(rest, at[begin:] - front.own, at[columns] - front.own, update[begin:, columns])
             if held is not None:
                 _, order, rank, _ = LAPACK.dpstrf(pivots, tol=least, lower=True)
                 out = order[rank:] - 1

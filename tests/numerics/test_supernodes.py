@@ -29,13 +29,14 @@ def filled(coupled):
 PATTERNS = [(1, 0.0), (12, 0.0), (40, 0.02), (40, 0.05), (60, 0.1), (25, 1.0)]
 
 
+@pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize(("size", "share"), PATTERNS)
-def test_the_tree_is_that_of_the_factor(size, share):
-    coupled = random_pattern(size, share, seed=size)
+def test_the_tree_is_that_of_the_factor(size, share, seed):
+    coupled = random_pattern(size, share, seed=size + seed)
     matrix, full = sparse.csr_matrix(coupled), filled(coupled)
-    parent, count, *others = np.zeros((6, size), dtype=np.int32)
-    starts, rows = matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32)
-    elimination_tree.divide(0.0, 0.0, 0.0, starts, rows, parent, count, *others)
+    parent, count, *others = np.zeros((8, size), dtype=np.int32)
+    starts, rows = matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32)  # as columns and as rows
+    elimination_tree.divide(0.0, 0.0, 0.0, starts, rows, starts, rows, parent, count, *others, 1)
     assert count.tolist() == full.sum(axis=0).tolist()
     for k in range(size):
         below = np.flatnonzero(full[k + 1 :, k])

@@ -237,10 +237,10 @@ def supernodes(pattern: sparse.csr_matrix, price: Price) -> Parts:
     price : what a part costs beside its arithmetic, by which small parts are joined.
     """
     runtime.current()  # starts it
-    size = pattern.shape[0]
-    parent, count, home, own, child, sibling = np.zeros((6, size), dtype=np.int32)
-    starts, rows = pattern.indptr.astype(np.int32), pattern.indices.astype(np.int32)
-    elimination_tree.divide(*astuple(price), starts, rows, parent, count, home, own, child, sibling)
+    entries = [part.astype(np.int32) for of in (pattern, pattern.tocsc()) for part in (of.indptr, of.indices)]
+    size, numbers = pattern.shape[0], np.zeros((8, pattern.shape[0]), dtype=np.int32)
+    elimination_tree.divide(*astuple(price), *entries, *numbers, 1)
+    parent, _, home, own, child, sibling, *_ = numbers
     # list parts with children before parents: each root, then what hangs below it, backwards
     first, following = child.tolist(), sibling.tolist()
     lasts, waiting = list[int](), np.flatnonzero(parent < 0).tolist()
