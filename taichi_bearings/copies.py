@@ -152,6 +152,7 @@ def take_original() -> Original:
 def _main_left_out() -> Iterator[None]:
     """Context in which processes that this thread starts do not run the user's script again, so that the script needs
     no guard against that."""
+    # multiprocessing calls this function for what a new process is to load
     preparation, ours = spawn.get_preparation_data, threading.get_ident()
 
     def without_main(name: str) -> dict[str, Any]:

@@ -317,6 +317,7 @@ class Interrupt:
         frame : frame of Python that the signal interrupts.
         _ : number of the signal.
         """
+        # a signal that this process has sent to itself (`_end`, `again_soon`) is not one that was heard
         is_own, self._is_own = self._is_own, False
         if is_own:
             pass

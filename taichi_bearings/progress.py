@@ -146,7 +146,7 @@ class Display:
         del self.stages[self.stages.index(old) :]
 
     def book(self) -> None:
-        """Add the time since the last change of stages to the innermost stage."""
+        """Add the time since the last change of stages to the stage that is under way, the innermost one."""
         now = time.perf_counter()
         self.seconds[self.stages[-1].name if self.stages else BETWEEN] += now - self._since
         self._since = now
@@ -180,7 +180,7 @@ class Display:
         return " · ".join(lines) or BETWEEN
 
     def times(self) -> str:
-        """Return in words all the time since it began, and its parts."""
+        """Return a text with the seconds since the display began, in all and by stage, such as "3.1 s: solving 2.9"."""
         self.book()
         parts = [f"{name} {seconds:.1f}" for name, seconds in self.seconds.items() if seconds >= LEAST_LISTED]
         return f"{sum(self.seconds.values()):.1f} s: {', '.join(parts)}"

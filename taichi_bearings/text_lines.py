@@ -51,6 +51,7 @@ def read_text_lines(path: Path) -> Generator[bytes, None, None]:
     number = 0
     try:
         with opened(path) as file:
+            # the first bytes say how the file is packed, if it is
             head = file.read(6)
             file.seek(0)
             packer = next((make for magic, make in PACKERS.items() if head.startswith(magic)), None)
@@ -65,11 +66,8 @@ def read_text_lines(path: Path) -> Generator[bytes, None, None]:
                         f"line {number} of {path} is longer than {MOST_LINE:,} bytes, the most that is read"
                     )
                 if not line.endswith(b"\n"):
-                    raise CutOff(
-                        path,
-                        number,
-                        f"line {number}, the last one, has no line break at its end; if it is complete, add one",
-                    )
+                    words = f"line {number}, the last one, has no line break at its end; if it is complete, add one"
+                    raise CutOff(path, number, words)
                 yield line.removeprefix(UTF_8) if number == 1 else line
             if unpacker is not None and unpacker.is_torn:
                 raise CutOff(path, number + 1, f"the compressed data are cut off after line {number}")

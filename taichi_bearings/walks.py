@@ -219,6 +219,7 @@ def _recording(core: Any, reader: Any) -> Iterator["_Record"]:
         record.functions.append(function.func)
         return reads(function, *given, **named)
 
+    # functions of the core, and methods of its classes, are replaced by ones that write down their calls
     reads = reader._get_tree_and_ctx
     try:
         put(reader, "_get_tree_and_ctx", read)

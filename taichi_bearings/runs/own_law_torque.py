@@ -55,7 +55,7 @@ class _Motion:
 
 @dataclass(frozen=True)
 class Motions:
-    """The motions of the top of one sample that were solved, by strength.
+    """The motions of the top of one sample that were solved, by strength: the factor of the imposed motion.
 
     scene : the sample, with the top moved as imposed.
     solve : function that solves another scene in the same way.
@@ -67,7 +67,7 @@ class Motions:
     known: dict[float, _Motion] = field(default_factory=dict)
 
     def at(self, strength: float) -> _Motion:
-        """Return the motion of a strength, which is solved if it is not known."""
+        """Return the motion of the top at `strength` times its imposed motion, which is solved if it is not known."""
         if strength not in self.known:
             found = self.solve(self.scene.with_top(strength))
             bounds = np.array([found.lower_bound[0], found.objective[0] * SUMMED]) / self.scene.law.share
@@ -81,7 +81,8 @@ class Motions:
         return min(motion.high / motion.strength * SUMMED for motion in self.known.values())
 
     def strength_of(self, torque: float) -> float:
-        """Return the strength that a torque causes, proven within SHARP; NaN if there is none, or if it is not proven.
+        """Return the factor of the imposed motion that a torque causes, proven within SHARP; NaN if there is none, or
+        if it is not proven.
 
         torque : its size, force*length, above 0.
         """
@@ -94,8 +95,8 @@ class Motions:
         return found if self._is_proven(found, torque) else float("nan")
 
     def _around(self, torque: float) -> tuple[float, float] | None:
-        """Return a strength that needs at most this torque, and a larger one that needs at least as much; None if a
-        solve misses its tolerance or no such strengths are found.
+        """Return a factor of the imposed motion that needs at most this torque, and a larger one that needs at least as
+        much; None if a solve misses its tolerance or no such factors are found.
 
         torque : its size, force*length.
         """
@@ -111,8 +112,8 @@ class Motions:
         return None
 
     def _is_proven(self, strength: float, torque: float) -> bool:
-        """Return True if the strength that a torque causes is proven to differ from `strength` by at most SHARP,
-        relatively.
+        """Return True if the factor of the imposed motion that a torque causes is proven to differ from `strength` by
+        at most SHARP, relatively. The proof is that of the head of this file.
 
         torque : its size, force*length.
         """

@@ -235,6 +235,7 @@ def check_law(law: Law, coefficients: Coefficients, fastest: float) -> None:
     at = tuple(np.broadcast_to(values.ravel()[some], (len(slip), len(some))) for values in coefficients)
     speed = np.broadcast_to(slip, at[0].shape)
     with np.errstate(all="ignore"):
+        # potential + conjugate less f v: `missed` for the force of each slip, `pairs` for forces of other slips
         force, power, potential = (function(at, speed) for function in (law.force, law.power, law.potential))
         dual = law.conjugate(at, force)
         work = force * speed
@@ -258,6 +259,7 @@ def check_law(law: Law, coefficients: Coefficients, fastest: float) -> None:
             wrong["its power must be `share` times its potential"] = np.abs(
                 power - law.share * potential
             ) > TERM_ROUNDING * np.abs(power)
+    # the first condition that is violated, at the first slip and contact where it is
     for sentence, places in wrong.items():
         if places.any():
             row, column = np.argwhere(places)[0]

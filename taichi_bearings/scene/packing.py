@@ -170,6 +170,7 @@ class Packing(Bearing):
         """Check friction and viscosity, or draw them from the seed where none are given, and store both as
         arrays (contacts E,).
         """
+        # friction is drawn from the seed itself, viscosity from [seed, 2]
         two = len(self.law.quantities) > 1
         if self.viscosity is not None and not two:
             raise InputError(f"viscosity is given, but the law {self.law} does not use it; it needs coulomb-viscous")

@@ -198,6 +198,7 @@ class Scene(Bearing):
         if replicas > (most := MOST_SITES // 8 // lattice.sites):
             raise InputError(f"replicas is {replicas}; with this shape it must be at most {most} (32-bit indices)")
         others["seeds"] = _seeds(seeds)
+        # texts or functions from which friction and, if the law has it, viscosity are drawn
         sources = dict(zip(cls.DRAWN, (distribution, viscosity or "uniform:0.1,1.0"), strict=True))
         values = [source if callable(source) else Distribution.parse(source) for source in sources.values()]
         given = values[: len(law.quantities)]
@@ -232,6 +233,7 @@ class Scene(Bearing):
         """Check all fields and store them in their final form, arrays as read-only copies; raise InputError for values
         that make no scene.
         """
+        # law, numbers, driving and periodic axes
         object.__setattr__(self, "law", law_named(self.law))
         for name in ("spin_top", "spin_bottom", "normal_force", "radius"):
             object.__setattr__(self, name, finite_number(name, getattr(self, name)))
@@ -240,6 +242,7 @@ class Scene(Bearing):
         object.__setattr__(self, "direction", imposed_direction(self.direction))
         object.__setattr__(self, "periodic", periodic_axes(self.periodic))
         self._read_states()
+        # coefficients, whose shapes give the lattice and the number of samples
         object.__setattr__(self, "coefficients", _arrays("coefficients", self.coefficients))
         object.__setattr__(self, "viscosity", _arrays("viscosities", self.viscosity))
         if bool(self.viscosity) != (len(self.law.quantities) > 1):
@@ -259,6 +262,7 @@ class Scene(Bearing):
             )
         samples = first[0] if len(first) > dimension else 1
         object.__setattr__(self, "seeds", _seeds(self.seeds) or tuple(range(samples)))
+        # their values: some contact must act, and friction and viscosity must be absent together
         for kind, coefficients in (("coefficients", self.coefficients), ("viscosities", self.viscosity)):
             self._check(kind, coefficients)
         if self.idle.all(axis=1).any():
@@ -292,7 +296,8 @@ class Scene(Bearing):
             object.__setattr__(self, name, bearing_state(name, (0.0,) if given is None else given, dimension))
 
     def _fits_exchanged(self, coefficients: tuple[np.ndarray, ...]) -> bool:
-        """Return True if the coefficients would fit a lattice with free sides if the arrays of x and y were exchanged.
+        """Return True if the coefficients would fit a lattice without periodic axes if the arrays of x and y were
+        exchanged.
 
         coefficients : for each axis an array of the contacts along it, with a leading axis of samples if there are
             several.

@@ -404,6 +404,7 @@ class Solution:
         first = ones[0]
         arrays = [item.name for item in fields(first) if isinstance(getattr(first, item.name), np.ndarray)]
         changes: dict[str, Any] = {n: np.concatenate([getattr(one, n) for one in ones]) for n in arrays}
+        # numbers that differ between samples become arrays; histories and snapshots of unequal length are filled up
         ended, seconds = [one.status for one in ones], [one.seconds for one in ones]
         iterations, methods = np.array([one.iterations for one in ones]), [one.method for one in ones]
         differing = {"method": np.array(methods, dtype=object)} if len(set(methods)) > 1 else {}

@@ -75,7 +75,7 @@ class Checkpoints:
         """
         arrays = dict(self.resume or {})
 
-        def of(begin: str) -> Checkpoints:
+        def of_sample(begin: str) -> Checkpoints:
             """Return the checkpoints of one sample.
 
             begin : the text with which the names of its arrays begin.
@@ -89,7 +89,7 @@ class Checkpoints:
             own = {name[len(begin) :]: values for name, values in arrays.items() if name.startswith(begin)}
             return replace(self, write=write, resume=own or None)
 
-        return [self] if replicas == 1 else [of(f"{replica}/") for replica in range(replicas)]
+        return [self] if replicas == 1 else [of_sample(f"{replica}/") for replica in range(replicas)]
 
 
 def solve(

@@ -54,15 +54,17 @@ def amplification(corrector: tuple[float, ...], decay: np.ndarray, oscillation: 
         I and h^2 K R^2 lambda / I, with damping A and stiffness K of a contact, radius R, moment of inertia I and
         eigenvalue lambda.
     """
-    # Taylor series one step on (Pascal's triangle); then the corrector adds its coefficients times the error
     values = len(corrector)
     decay, oscillation = np.broadcast_arrays(np.asarray(decay, float), np.asarray(oscillation, float))
     pascal = np.array([[comb(n, k) for n in range(values)] for k in range(values)], dtype=float)
     size = values + 2
+    # linear functions of the state as rows: the Taylor series one step on (Pascal's triangle); the mean spin of the
+    # step, corrected by the last error, by which the spring is stretched
     identity = np.eye(size)
-    predicted = pascal @ identity[:values]  # rows: predicted scaled derivatives, as functionals of the state
+    predicted = pascal @ identity[:values]
     mean = sum(identity[n] / (n + 1) for n in range(values)) + corrector[0] ** 2 * identity[size - 1]
     stretch = identity[values] + mean
+    # what the predicted state lacks in the equation of motion; the corrector adds its coefficients times this error
     error = -(oscillation[..., None] * stretch + decay[..., None] * predicted[0] + predicted[1])
     matrix = np.empty((*decay.shape, size, size))
     for n in range(values):

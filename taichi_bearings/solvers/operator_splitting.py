@@ -135,6 +135,7 @@ class OperatorSplittingMethod(Method):
         self.contact_step = made_once(ContactStep, spec, self.stencil, kind.name)
         self.team = Team(team_size(self.layout, sum(components for _, components in spec)))
         self.contact_step.compile(self.fields, self.team)
+        # the friction limit of each contact stands at its lower sphere
         friction = np.full((scene.lattice.dimension, scene.replicas, *scene.lattice.shape), ABSENT_FRICTION, kind)
         for axis, coefficient in enumerate(scene.lattice.by_axis(scene.acting_coefficient)):
             np.multiply(scene.strength, coefficient, out=self.layout.from_lower_sphere(friction[axis], axis))

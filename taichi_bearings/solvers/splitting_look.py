@@ -122,6 +122,7 @@ class Look:
 
         axis : number of the lattice axis.
         """
+        # views of the arrays of these contacts, a list with one for each component that makes them slip
         lattice, slots = self.scene.lattice, self.stencil.slip_components[axis]
         low, high = ([self.staggered[slot][end] for slot in slots] for end in lattice.along(axis))
         trial = [self.layout.from_lower_sphere(self.trial[row], axis) for row in self.stencil.force_rows(0)[axis]]
