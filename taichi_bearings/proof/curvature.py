@@ -701,8 +701,8 @@ def _floor_by_guess(
 
     def holds(difference: np.ndarray | float) -> np.ndarray:
         """Return (R,): whether half of the guess is proven if the products differ by `difference` at most."""
-        half_is_left: np.ndarray = guess - (missed + rounding + difference) * UP > guess / 2
-        return half_is_left & (found == 0)
+        half_is_left: np.ndarray = (found == 0) & (guess - (missed + rounding + difference) * UP > guess / 2)
+        return half_is_left
 
     proven = holds(2 * np.sqrt(most * off))
     if not proven.any() and holds(0.0).any():

@@ -110,7 +110,8 @@ class GridCuts(Part):
         least = np.where((self.further == 0).any(axis=1), 0.0, self.further.min(axis=1))
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = 1 + least / self.weight.sum(axis=1)
-        return np.where(least > 0, np.maximum(ratio, np.nextafter(1.0, 2.0)), ratio)
+        found: np.ndarray = np.where(least > 0, np.maximum(ratio, np.nextafter(1.0, 2.0)), ratio)
+        return found
 
     def progress(self) -> Progress:
         """Return the progress: the start before the first iteration; after it the minimum, with forces, contact states
