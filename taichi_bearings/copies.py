@@ -55,7 +55,7 @@ class Original:
         try:
             folder = Path(util.get_temp_dir())
             leaving.add_temporary(folder)  # else removed by Python, which does not happen where a signal ends a command
-            with _main_left_out(), _working_folder_left_out(), unheard_by_children():
+            with _without_main_script(), _without_working_folder(), unheard_by_children():
                 self._server.ensure_running()
         except OSError:
             self._server = None
@@ -75,10 +75,10 @@ class Original:
         context: Any = multiprocessing.get_context("spawn" if self._server is None else "forkserver")
         process: BaseProcess = context.Process(target=target, args=arguments, daemon=True, name=name)
         if self._server is None:
-            with _main_left_out(), _working_folder_left_out(), unheard_by_children():
+            with _without_main_script(), _without_working_folder(), unheard_by_children():
                 process.start()
             return process
-        with _main_left_out(), self._copied():  # this waits until the program is loaded
+        with _without_main_script(), self._copied():  # this waits until the program is loaded
             process.start()
         self._is_loaded = True
         return process
@@ -149,7 +149,7 @@ def take_original() -> Original:
 
 
 @contextlib.contextmanager
-def _main_left_out() -> Iterator[None]:
+def _without_main_script() -> Iterator[None]:
     """Context in which processes that this thread starts do not run the user's script again, so that the script needs
     no guard against that."""
     # multiprocessing calls this function for what a new process is to load
@@ -160,9 +160,9 @@ def _main_left_out() -> Iterator[None]:
 
         name : name of the new process.
         """
-        told = preparation(name)
+        prepared = preparation(name)
         is_ours = threading.get_ident() == ours
-        return {key: value for key, value in told.items() if not (is_ours and key.startswith("init_main_"))}
+        return {key: value for key, value in prepared.items() if not (is_ours and key.startswith("init_main_"))}
 
     spawn.get_preparation_data = without_main
     try:
@@ -172,9 +172,8 @@ def _main_left_out() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _working_folder_left_out() -> Iterator[None]:
-    """Context in which new processes do not load modules from the working folder, where Python 3.10 would look
-    first."""
+def _without_working_folder() -> Iterator[None]:
+    """Context in which new processes load no modules from the working folder, which Python 3.10 would search first."""
     before = os.environ.get("PYTHONSAFEPATH")
     os.environ["PYTHONSAFEPATH"] = "1"
     try:

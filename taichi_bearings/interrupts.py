@@ -82,8 +82,8 @@ _keeper: Keeper | None = None  # that of the command under way
 
 @contextmanager
 def keeping() -> Iterator[None]:
-    """Keep the process, and only note signals, from the first call of `keep` inside the block until its end. A signal
-    that comes more than IMPATIENCE after the first one raises KeyboardInterrupt all the same.
+    """Context in which, from the first call of `keep` on, the process is not ended and signals are only noted. Yet a
+    signal that comes more than IMPATIENCE after the first one raises KeyboardInterrupt.
 
     Other errors after that call are no consequence of a signal, and are shown as always.
     """

@@ -218,7 +218,7 @@ def locked(path: Path, what: str) -> Iterator[bool]:
     """
     refuse_link_out(path)
     while True:
-        with leaving.undisturbed():  # a file that is made is known as one to be removed
+        with leaving.undisturbed():  # so that no signal comes before a file that is made is noted as temporary
             with writing(path.parent):
                 file = opened(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | NO_LINK)
             held = lock(file)
@@ -229,12 +229,12 @@ def locked(path: Path, what: str) -> Iterator[bool]:
             if held is False:
                 raise FileError(f"{what} is in use by another process; stop that or wait for its end")
             if not is_ours:
-                continue  # whoever had it before removed it after we opened it: others would lock a new one
+                continue  # the process that had the lock removed this file after it was opened here
             try:
                 yield bool(held)
             finally:
                 with leaving.undisturbed():
-                    if is_at(file, path):  # an exchanged directory takes its lock with it
+                    if is_at(file, path):  # else the folder was exchanged, and the lock file with it
                         with contextlib.suppress(OSError):
                             let_go(file)
                             path.unlink()

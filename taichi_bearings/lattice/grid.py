@@ -26,7 +26,7 @@ from taichi_bearings.words import shown
 
 Index = tuple[Any, ...]  # what picks spheres out of an array over the lattice
 AXIS_NAMES = ("x", "y", "z")
-MOST_SITES = 2**31 - 1  # Taichi indexes with 32-bit integers and would silently run nothing beyond
+MOST_SITES = 2**31 - 1  # Taichi indexes with 32-bit integers; a kernel over more sites would silently do nothing
 
 
 @dataclass(frozen=True)

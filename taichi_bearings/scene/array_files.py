@@ -66,8 +66,8 @@ def read_arrays(path: Path, names: Sequence[str], optional: Sequence[str] = ()) 
             if len(names) > 1:
                 raise FileError(f"{path} holds one array but {', '.join(names)} are needed; use npz or HDF5")
             opened(path).close()  # a regular file
-            mapped = np.load(path, mmap_mode="r", allow_pickle=False)  # none longer than its file
-            if mapped.dtype.itemsize == 0:  # and so without limit
+            mapped = np.load(path, mmap_mode="r", allow_pickle=False)  # refuses an array that is longer than its file
+            if mapped.dtype.itemsize == 0:  # entries without bytes, of which any file could claim any number
                 raise ValueError
             refuse_beyond(mapped.nbytes, f"the array in {path}")
             return {names[0]: np.array(mapped)}

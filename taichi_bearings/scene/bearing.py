@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from taichi_bearings.scene.network import Network
 
 Kind = TypeVar("Kind", bound="Bearing")
-LENGTHS_IN_CACHE = 16_384  # vectors whose lengths are computed at once, so that all fits the second cache
+LENGTHS_IN_CACHE = 16_384  # vectors whose lengths are computed at once: they fit into the second-level cache
 # replaces the coefficient of an absent contact, relative to the mean, where a method must divide by it
 ABSENT_COEFFICIENT = 1e-12
 
@@ -496,7 +496,7 @@ def inverse(values: np.ndarray) -> np.ndarray:
 def vector_length(components: np.ndarray) -> np.ndarray:
     """Return the Euclidean lengths, (...), of vectors whose components are along the first axis, (d, ...).
 
-    Without components, d = 0, they are 0; with one they are its absolute values, exactly.
+    They are 0 if d = 0, and exactly the absolute values of the component if d = 1.
     """
     if len(components) == 0:
         return np.zeros(components.shape[1:])

@@ -1,6 +1,6 @@
 """What is imposed on a bearing, and how its spins are carried while it is solved.
 
-A method carries x = s l omega - x0 for each component of the spin omega of each sphere:
+Methods compute with *carried* spins, x = s l omega - x0 for each component of the spin omega of each sphere:
 
 * where each driven sphere has a spin of its own (:class:`Driving`), x = u = R omega is the speed of its surface: l is
   its radius R, s = 1 and x0 = 0;
@@ -50,7 +50,7 @@ SAME_DRIVING = 4  # imposed speeds that differ by no more than so many units in 
 
 
 class Driving:
-    """Spins that are imposed on driven spheres one by one, and the form in which solvers store spins. An instance never
+    """Spins that are imposed on single driven spheres, and the form in which solvers store spins. An instance never
     changes.
 
     In this class solvers store radius * spin, the surface speed of a sphere. The subclass for lattices stores spins

@@ -55,7 +55,7 @@ def staggered_linear_spin(scene: Scene, spin_axes: tuple[int, ...]) -> np.ndarra
     driving, found = scene.driving, []
     even, (high, low) = driving.of_equal_viscosity(), driving.origin(driving.every)
     for slot in map(driving.every.index, spin_axes):
-        # Where nothing depends on the place in a layer, arrays have axes of length 1.
+        # axes along which the arrays are constant have length 1
         whole, _ = add((even[slot], np.zeros_like(even[slot])), (high[slot], low[slot]))
         found.append(np.broadcast_to(whole - high[slot], (scene.replicas, *scene.lattice.shape)))
     return driving.impose(np.stack(found), spin_axes)

@@ -162,8 +162,8 @@ class Dynamics(Method):
     def aim_at(self, time: float) -> None:
         """Set the next simulated time at which a state is recorded; infinity for none.
 
-        A method with fixed steps reads its progress after the first step that reaches this time; one that chooses its
-        steps ends a step exactly there.
+        A method with fixed steps reads its progress after the first step that reaches this time; a method that chooses
+        the lengths of its steps ends a step exactly at this time.
         """
         self.aim = time
 

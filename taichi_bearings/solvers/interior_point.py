@@ -2,9 +2,9 @@
 
 The least power is the minimum of sum_e mu_e b_e over spins and bounds b_e >= |slip_e|; its dual maximises the work of
 the driven spheres over balanced contact forces with |f_e| <= mu_e F_n (equations.md, 7). Both are followed along the
-central path (conic/central_path.py). Bounds above the slips and zero forces are strictly inside, so that from the first
-step on there are an upper and a lower bound. Eliminating the bounds from the Newton system leaves a weighted Laplacian
-over the free spins, which is factorised once a step (taichi_bearings.numerics.cholesky).
+central path (conic/central_path.py). It begins at b_e > |slip_e| and zero forces, which are strictly inside the cones,
+so that an upper and a lower bound are known from the first step on. Eliminating b from the Newton system leaves a
+weighted Laplacian over the free spins, which is factorised once a step (taichi_bearings.numerics.cholesky).
 
 Viscosity adds half its power to what is minimised, and its stiffness to that Laplacian. Near the end the contact states
 are settled: exactly where conic/resolution.py can; else by the ratio of slip and friction margin (friction limit minus

@@ -60,7 +60,7 @@ class LatticeReached(Reached):
         self.scene, self.bound = scene, ended.bound
         self.final = replace(final, force=vector_length(final.force)[None])
         self.threshold = ended.slip_threshold
-        # laboratory spins with their rounding, forces that prove the bound, and the same in the laboratory
+        # laboratory spins with their rounding; forces near those of the method that prove the bound, and their friction
         self.spin, self.spin_rounding = scene.laboratory_pair(final.staggered, final.rest, final.spin_axes)
         excess = final.objective - ended.bound
         are_asked = self.options.is_dynamics or final.state is not None or bool(self._asked.any())

@@ -28,7 +28,7 @@ from taichi_bearings.solvers.packing_states import PackingReached
 from taichi_bearings.solvers.part import Part
 from taichi_bearings.solvers.stopping import ended_as
 
-ENOUGH_FRICTION = 1e3  # friction beyond which a contact hardly slips, in units of power over fastest driven surface
+ENOUGH_FRICTION = 1e3  # friction, in units of power over fastest imposed surface speed, of contacts that hardly slip
 MOST_CAPS, LESS_POWER = 12, 0.5  # how often friction is cut off at most; factor by which that has to lower the power
 
 
@@ -216,8 +216,7 @@ class OnSystem(WithMinima):
                 capped = held > most
                 if found.gap[0] <= tolerance or not capped.any() or not most > 0:
                     break
-                # The minimum with friction cut off; then strong contacts are made to roll, and all is judged with the
-                # whole friction.
+                # minimum with less friction; strong contacts are made to roll; all is judged with the whole friction
                 paths = PackingPaths(self, {number: (np.minimum(held, most),)})
                 paths.advance(MOST_STEPS)
                 (end,) = paths.found()

@@ -32,8 +32,8 @@ class Times(Protocol):
 class Recording:
     """The simulated times at which a run is recorded.
 
-    A state is recorded at the end of the first step that reaches a time. Methods that choose their own steps end one
-    exactly there.
+    A state is recorded at the end of the first step that reaches a time. Methods that choose the lengths of their steps
+    end a step exactly at that time.
 
     history : times of the rows of the history, ascending; if empty, there is a row each time that the progress is read.
     snapshots : times at which all spins are recorded, ascending.

@@ -130,6 +130,7 @@ class TorqueBalance:
 
         modes : (nz - 2, nz - 2), the sines, one in each column, at the free spheres.
         """
+        # rows are the spheres of the lower half, the driven one first; columns are the even or the odd sines
         height, block = len(modes) + 2, self.fields.layout.block
         forward, back = list[np.ndarray](), list[np.ndarray]()
         for parity, size in ((0, height - height // 2), (1, height // 2)):
