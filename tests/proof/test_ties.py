@@ -10,6 +10,8 @@ from taichi_bearings_studies.stress import truth
 import taichi_bearings as tb
 from taichi_bearings.proof.between_two import BetweenTwo, Link, _farthest, _trees, _ways
 from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.proof.oblique_limits import ObliqueLimits, not_balanced
+from taichi_bearings.proof.pulls import Pulls
 from taichi_bearings.proof.tied_minima import Constraints
 from taichi_bearings.quantities import numbers_of
 from taichi_bearings.runs.result import Result
@@ -245,3 +247,26 @@ def test_spheres_that_share_one_component_move_along_two_lines():
     assert all(names[of] == state for of, state in zip(true[proven], solution.state[0, proven], strict=True)
                if of != minima.DRIVEN)  # fmt: skip
     assert (solution.state[0, proven] != UNDECIDED).sum() > 60
+
+
+def test_the_friction_of_a_contact_at_its_limit_follows_from_balance():
+    """The example of oblique_limits.py: sphere 1 slips on sphere 0 and rests on sphere 2, both driven. Contact 2 bears
+    what contact 0 does, if contacts 1 and 3 pull along x by 1 and -1; if the former pulls by 2, nothing is known."""
+    domain, x, both = np.array([[0, 1, 1], [0, 1, 1]]), [True, False], [True, True]
+    apart = np.array([[0, 2, 1], [0, 2, 1]])
+    pulls = Pulls(
+        own=np.arange(4), lower=np.array([0, 0, 1, 1]), upper=np.array([1, 1, 2, 2]),
+        felt=np.array([both, x, both, x]).T, sign=np.array([[1, 1], [1, 0], [1, 1], [1, 0]]).T,
+        coefficient=np.ones((4, 1)), in_s=np.array([True, True, False, False]),
+        oblique=np.array([False, False, True, False]), slipless_domain=domain, firm_domain=apart, locked_domain=apart,
+        driven=np.array([True, False, True]),
+    )  # fmt: skip
+    limits = ObliqueLimits.of(pulls)
+    assert (limits.guide[2], limits.way[2]) == (0, 1)
+    assert [(pair.sphere, pair.contacts.tolist(), pair.way) for pair in limits.between] == [(1, [0, 2], -1)]
+    assert not not_balanced(pulls, limits.between).any()
+    assert not_balanced(pulls, []).tolist() == [[False, True, False]] * 2
+    for contact, friction in ((1, 2.0), (2, 2.0), (3, np.nextafter(1.0, 2.0))):
+        coefficient = pulls.coefficient.copy()
+        coefficient[contact] = friction
+        assert ObliqueLimits.of(replace(pulls, coefficient=coefficient)) is None
