@@ -100,7 +100,7 @@ class Sweep:
         with Journal(self.folder / JOURNAL) as journal, closing(engine):
             try:
                 for cell in each(missing, "cell", alike):
-                    while not engine.has_room:
+                    while not engine.can_take_unit:
                         take(engine.collect(0.2))
                     engine.submit((cell,))
                 while engine.running:

@@ -308,8 +308,8 @@ def _states(scene: Scene, sample: Sample, barrier: Decimal) -> tuple[np.ndarray,
     state = np.full(scene.lattice.all_contacts, UNCLEAR, dtype=np.uint8)
     _, length, _, stiffness = sample.forces(barrier)
     ratio = np.divide(stiffness * length, sample.a, out=np.ones_like(sample.a), where=sample.a > 0)
-    slips, has_room = length[:, 0] > CLEAR, 1 - ratio[:, 0] > CLEAR
-    known = (sample.a[:, 0] > 0) & (slips != has_room)
+    slips, has_margin = length[:, 0] > CLEAR, 1 - ratio[:, 0] > CLEAR
+    known = (sample.a[:, 0] > 0) & (slips != has_margin)
     state[sample.of[known]] = np.where(slips, SLIPPING, SLIPLESS)[known]
     return scene.lattice.by_axis(state)
 

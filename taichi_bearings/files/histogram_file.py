@@ -10,10 +10,9 @@ import numpy as np
 from taichi_bearings.analysis.histogram import ENERGY_PER_TIME, PowerHistogram
 from taichi_bearings.files.whole_file import put, write_csv, write_hdf5
 
-Histograms = Mapping[Any, PowerHistogram]  # by the value of the parameter that they differ in; {None: ...} for one
+Histograms = Mapping[Any, PowerHistogram]  # by the value of the parameter in which they differ; {None: ...} for one
 
-
-OF_BINS = {  # columns of a bin beside its edges
+OF_BINS = {  # columns that tables have for each bin, apart from its edges
     "count": "slipping contacts in each bin",
     "standard_error": "of the count: over the samples, or Poisson with one sample",
     "density": "share of the slipping contacts per decade of power",
@@ -72,9 +71,7 @@ def write_arrays(path: Path, histograms: Histograms, by: str | None = None, wher
         return values[0] if by is None else np.array(values)
 
     def fill(file: h5py.File) -> None:
-        """Write all data sets and attributes of the histograms into an open file. With several histograms (`by` is not
-        None) each has a leading axis, and `value` has the parameter of each.
-        """
+        """Write all data sets and attributes of the histograms into an open file."""
         for name, text in OF_BINS.items():
             put(file, name, stacked(name), "1", text)
         put(file, "edges", parts[0].edges, parts[0].units, "edges of the power bins")

@@ -63,7 +63,7 @@ def column(values: Sequence[Any], units: str, description: str) -> Finding:
     values : one for each sample: texts, truth values, whole numbers or other numbers; None where a sample has none.
     units, description : units and description of the column.
 
-    Truth values of which some are None stay as they are, in an array of objects, for :func:`write_scan`.
+    Truth values of which some are None become an array of objects, which :func:`write_scan` stores as numbers.
     """
     present = [value for value in values if value is not None]
     if any(isinstance(value, str) for value in present):
@@ -125,10 +125,7 @@ def write_scan(
             put(group, name, values, units, text, dtype=values.dtype, **packed)
 
     def cell(value: object) -> str:
-        """Return a value as scan.csv has it.
-
-        value : the value.
-        """
+        """Return a value as a cell of scan.csv: true or false for truth values, empty for None and not-a-number."""
         if isinstance(value, bool):
             return str(value).lower()
         return "" if value is None or value != value else str(value)
@@ -156,7 +153,7 @@ class StoredScan:
     histograms: SampleCounts
 
     def __post_init__(self) -> None:
-        """Raise FileError for a table that no scan writes, so that what reads it need not check again."""
+        """Raise FileError for a table that no scan writes, so that users of this object need not check it again."""
         table, counts = self.table, self.histograms
 
         def refuse(words: str) -> NoReturn:
@@ -174,13 +171,13 @@ class StoredScan:
             texts = values.ravel().tolist() if values.dtype.kind == "O" else []
             if values.dtype.kind not in "biufO" or not all(isinstance(t, str) and t.isprintable() for t in texts):
                 refuse(f"its column {name} holds something else")
-        whole = (counts.count, counts.contacts)
-        if "status" not in table or any(values.ndim != 2 for values in whole):
+        of_contacts = (counts.count, counts.contacts)
+        if "status" not in table or any(values.ndim != 2 for values in of_contacts):
             refuse("it lacks statuses or histograms")
         lengths = {len(values) if values.ndim == 1 else -1 for values in table.values()}
-        if len(lengths | {len(values) for values in whole}) > 1:
+        if len(lengths | {len(values) for values in of_contacts}) > 1:
             refuse("its columns differ in length")
-        if any(values.dtype.kind not in "iu" or (values < 0).any() for values in whole):
+        if any(values.dtype.kind not in "iu" or (values < 0).any() for values in of_contacts):
             refuse("its histograms count in something else than numbers")
 
     @property
@@ -220,7 +217,7 @@ def read_scan(scan: Path) -> StoredScan:
         lacks = {"tied"} if file.attrs["schema_version"] == 1 else set()
         of_states = [none if name in lacks else file[f"histogram/{name}"][()] for name in CONTACT_SETS]
         is_real = edges.dtype.kind == "f" and edges.ndim == 1 and ((edges > 0) & (edges < np.inf)).all()
-        place = BINS_PER_DECADE * np.log10(edges) if is_real else np.full(1, np.nan)  # whole numbers
+        place = BINS_PER_DECADE * np.log10(edges) if is_real else np.full(1, np.nan)  # must be successive whole numbers
         first = round(float(place[0])) if is_real and len(edges) else 0
         if len(place) and not np.allclose(place, first + np.arange(len(place)), rtol=0, atol=1e-6):
             raise InputError("the bins of the histograms are not equally wide on a logarithmic axis")

@@ -2,7 +2,7 @@
 
 A line is JSON, ``{"crc32": "01234567", "sample": {...}}``, with the checksum of what follows ``"sample": ``. An
 incomplete last line, left by a kill or a full disk, is dropped. A line that has changed since is named in a warning:
-its sample is missing, and the line goes when the journal is next opened for appending.
+its sample is missing, and the line is removed when the journal is next opened for appending.
 """
 
 import contextlib
@@ -30,9 +30,9 @@ MOST_SCALARS = 300  # most values of a sample; a solve with its structure has so
 
 
 def _line(text: bytes) -> bytes:
-    """Return the line of the journal for one sample.
+    """Return the line of the journal for one sample: checksum, record and line end.
 
-    text : the sample in JSON.
+    text : record of the sample in JSON.
     """
     return (RECORD_HEAD % zlib.crc32(text)).encode() + text + b"}\n"
 
@@ -59,8 +59,8 @@ def is_sample(sample: Any) -> bool:
 
     sample : the record, as JSON has it.
 
-    Then no number of a bin can ask for much memory, and no lower bound lies above what it bounds by more than rounding.
-    Raises ValueError for a text that is no Unicode.
+    Numbers of bins are so small that arrays over them fit into memory, and no lower bound lies above what it bounds by
+    more than rounding. Raises ValueError for a text that is no Unicode.
     """
     if not _has_key(sample):
         return False
@@ -115,10 +115,10 @@ class Journal:
             self._file = opened(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
 
     def _drop_damaged_lines(self) -> int:
-        """Rewrite the journal with its undamaged lines alone, in one move, and return its size in bytes.
+        """Remove damaged lines from the journal, and return its size in bytes.
 
-        An incomplete last line is cut off instead, which is possible on a full disk, too. A second name (hard link) of
-        the file keeps the earlier content.
+        The file is replaced in one move, and a second name (hard link) of it keeps the earlier content. If only the
+        last line is incomplete, it is cut off instead, which is possible on a full disk, too.
         """
         whole = b"".join(line for line in read_lines(self.path) if _is_whole(line))
         if not self.path.exists():
@@ -141,7 +141,7 @@ class Journal:
             write_all(self._file, lines)
         except OSError as error:
             written = os.fstat(self._file.fileno()).st_size - self._length
-            self._length += lines.rfind(b"\n", 0, written) + 1
+            self._length += lines.rfind(b"\n", 0, written) + 1  # the whole lines that were written
             self._file.truncate(self._length)
             raise FileError(f"{self.path} cannot be written: {error.strerror or error}") from None
         self._length += len(lines)

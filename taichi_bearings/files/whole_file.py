@@ -1,4 +1,4 @@
-"""Writes files in full or not at all, and reads HDF5 only if it is as it was written."""
+"""Writes files in full or not at all, and reads HDF5 files only if their checksums are right."""
 
 import contextlib
 import csv
@@ -63,10 +63,7 @@ def write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[Any]], n
     writer.writerow(names)
 
     def harmless(cell: object) -> Any:
-        """Return numbers as they are; a text that spreadsheets would take for a formula gets an apostrophe in front.
-
-        cell : number or text of a cell of the table.
-        """
+        """Return a cell as it is, but a text that spreadsheets would take for a formula with an apostrophe in front."""
         if isinstance(cell, str) and cell.startswith(("=", "+", "-", "@", "\t", "\r")):
             try:
                 float(cell)
@@ -99,7 +96,7 @@ def _new_hdf5(path: Path) -> Iterator[h5py.File]:
     leave a damaged file.
     """
     whole = io.BytesIO()
-    with h5py.File(whole, "w", libver=("v108", "v108")) as file:  # attributes beyond 64 KB: lists of many samples
+    with h5py.File(whole, "w", libver=("v108", "v108")) as file:  # older layouts allow attributes of 64 KB at most
         yield file
     with whole.getbuffer() as content:  # no second copy
         replace_file(path, content)
@@ -140,7 +137,8 @@ def read_hdf5(path: Path, kind: str, changed: list[str] | None = None) -> Iterat
 
 
 def replace_group(path: Path, name: str, fill: Callable[[h5py.Group], None]) -> None:
-    """Replace one group of an HDF5 file, in one move; everything else in the file stays.
+    """Replace one group of an HDF5 file; everything else in the file stays. The new file takes the place of the old one
+    in one move.
 
     path : the file.
     name : name of the group.

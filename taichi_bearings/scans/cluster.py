@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 CONNECT = 5.0  # seconds to wait for a scheduler
 UNITS_AHEAD = 2  # units submitted for each thread, so that the next one is there when one is done
-LOOK = 1.0  # seconds between two counts of the workers
-LONELY = 10.0  # seconds without any worker after which a warning says so
+COUNT_SECONDS = 1.0  # seconds between two counts of the workers
+NO_WORKER_SECONDS = 10.0  # seconds without any worker after which a warning says so
 
 
 def connected(scheduler: str | None) -> "contextlib.AbstractContextManager[Client | None]":
@@ -48,10 +48,10 @@ def connected(scheduler: str | None) -> "contextlib.AbstractContextManager[Clien
         raise InputError(words) from None
     logger = logging.getLogger("distributed")
     level = logger.level
-    logger.setLevel(logging.CRITICAL)  # what goes wrong is said below
+    logger.setLevel(logging.CRITICAL)  # errors are raised below instead
     try:
         scheduler = _address(scheduler)
-        resolve_address(scheduler)  # else a client complains again when it is deleted
+        resolve_address(scheduler)  # raises for a bad address; a client with one would log an error when deleted
         return distributed.Client(scheduler, timeout=CONNECT, set_as_default=False)
     except (OSError, ValueError, distributed.TimeoutError) as error:
         reason = str(error) if isinstance(error, ValueError) else f"no answer within {CONNECT:g} s"
@@ -95,22 +95,23 @@ class DaskEngine(LocalEngine):
         """
         super().__init__(work, 1, allowed)
         self.client, self.workers, self.executor = client, 0, client.get_executor(pure=False)
-        self._threads, self._looked, self._seen = 0, -LOOK, time.monotonic()
+        self._threads, self._counted_at, self._seen_at = 0, -COUNT_SECONDS, time.monotonic()
 
     @property
-    def has_room(self) -> bool:
-        """True if a thread of the cluster is free or will be soon, so that another unit of samples can be sent. The
-        threads are counted anew every LOOK seconds.
+    def can_take_unit(self) -> bool:
+        """True if another unit of samples can be sent: each thread of the cluster has fewer than UNITS_AHEAD of them.
+
+        The threads are counted anew every COUNT_SECONDS.
         """
         now = time.monotonic()
-        if now >= self._looked + LOOK:  # count the workers now and then
-            self._looked = now
+        if now >= self._counted_at + COUNT_SECONDS:
+            self._counted_at = now
             with contextlib.suppress(Exception):  # no answer says nothing new, and collect() notices a lost scheduler
                 self._threads = sum(self.client.nthreads().values())
             self.workers = max(self.workers, self._threads)
-            self._seen = now if self._threads else self._seen
-            if now > self._seen + LONELY:
-                self._seen = now + 10 * LONELY
+            self._seen_at = now if self._threads else self._seen_at
+            if now > self._seen_at + NO_WORKER_SECONDS:
+                self._seen_at = now + 10 * NO_WORKER_SECONDS  # the next warning comes that much later
                 logging.getLogger(__name__).warning("bearings: the Dask cluster has no workers; waiting for some")
         return len(self.running) < UNITS_AHEAD * self._threads
 

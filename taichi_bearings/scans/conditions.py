@@ -13,7 +13,7 @@ LISTS_OF_NUMBERS = ("direction", "top", "bottom")  # settings that are lists of 
 
 
 def meeting(conditions: Sequence[str], table: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return a mask (samples,) of the samples that meet all conditions; no sample may meet all of several.
+    """Return a mask (samples,) of the samples that meet all conditions; it may be all False if there are several.
 
     conditions : texts KEY=VALUE: a sample must have this value in the column KEY. Texts are compared without regard to
         capital letters, numbers to the last bit.
@@ -34,6 +34,7 @@ def meeting(conditions: Sequence[str], table: Mapping[str, np.ndarray]) -> np.nd
             )
         values = table[key]
         if values.dtype == object or values.dtype == bool:
+            # texts are compared as tables have them and as `named` writes them
             found = np.array([value.lower() in (str(v).lower(), named(key, v).lower()) for v in values.tolist()])
         else:
             try:

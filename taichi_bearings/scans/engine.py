@@ -37,13 +37,13 @@ Unit = tuple[Any, ...]
 Record = Json  # result of a task as JSON, see sample.solve_samples
 Work = Callable[[Sequence[Any]], list[Record]]  # solves the tasks of a unit
 TRIES = 2  # how often each sample is tried
-HOPELESS = 10  # if so many workers end one after the other, before there is any result, the scan gives up
+HOPELESS = 10  # a scan ends with an error if so many workers in a row end without a result, before there is any result
 LOOK_SECONDS = 0.2  # seconds between looks at what else is going on
 KEEPING_SECONDS = 5.0  # seconds that an idle worker may take to keep its compiled kernels and end
 WORKER_NAME = "bearings-worker"  # name of the worker processes
 IDLE_SECONDS = 60.0  # seconds without work after which a worker ends
 DASK_REASONS = {"KilledWorker": "its Dask workers were lost", "CancelledError": "Dask has cancelled it"}
-LONGEST_WAIT = 2e6  # seconds; the system counts milliseconds in 31 bits
+LONGEST_WAIT = 2e6  # most seconds to wait at once: the system counts milliseconds in 31 bits
 
 
 @dataclass(frozen=True)
@@ -75,8 +75,8 @@ def failure(task: Any, reason: Exception | str) -> Record:
 
 
 def run_samples(units: Sequence[Unit], engine: "LocalEngine") -> Iterator[list[Record]]:
-    """Solve all units (tuples of samples); yield lists of records as samples finish or fail, and an empty list at each
-    look in between.
+    """Solve all units (tuples of samples); yield lists of records as samples finish or fail, and empty lists in
+    between, at least every LOOK_SECONDS.
 
     units : the samples of each unit are solved together.
     engine : what solves them.
@@ -86,20 +86,20 @@ def run_samples(units: Sequence[Unit], engine: "LocalEngine") -> Iterator[list[R
 
     Raises BearingsError if worker after worker ends without any result, WriteError if results cannot be written.
     """
-    waiting, last, tries = deque(units), deque[Unit](), Counter[str]()
-    lost, any_result = 0, False
-    while waiting or last or engine.running:
-        # Begin what can begin; samples that failed once come last, alone.
-        while engine.has_room and waiting:
+    waiting, retries, tries = deque(units), deque[Unit](), Counter[str]()
+    lost_in_a_row, any_result = 0, False
+    while waiting or retries or engine.running:
+        # Send as many units as the engine takes; samples that failed once come at the end, one at a time.
+        while engine.can_take_unit and waiting:
             engine.submit(waiting.popleft())
-        if last and not waiting and not engine.running:
-            engine.submit(last.popleft())
+        if retries and not waiting and not engine.running:
+            engine.submit(retries.popleft())
         yield []
         finished: list[Record] = []
         unwritten = ""
         # A unit without any result is split into its samples; a sample without a result is tried once more.
         for outcome in engine.collect(LOOK_SECONDS):
-            lost = lost + 1 if outcome.records is None else 0
+            lost_in_a_row = lost_in_a_row + 1 if outcome.records is None else 0
             any_result |= outcome.records is not None
             if outcome.records is None and len(outcome.unit) > 1:
                 waiting.extend((sample,) for sample in outcome.unit)
@@ -110,19 +110,19 @@ def run_samples(units: Sequence[Unit], engine: "LocalEngine") -> Iterator[list[R
                     unwritten = record["scalars"]["error"]
                     continue
                 tries[sample.key] += 1
-                again = record["scalars"]["status"] == FAILED and not record.pop("final", False)
-                if again and tries[sample.key] < TRIES:
+                may_succeed = record["scalars"]["status"] == FAILED and not record.pop("final", False)
+                if may_succeed and tries[sample.key] < TRIES:
                     words, why = "bearings: sample %s failed and is tried again: %s", record["scalars"]["error"]
                     logging.getLogger(__name__).warning(words, sample.label, why)
-                    last.append((sample,))
+                    retries.append((sample,))
                 else:
                     finished.append(record)
         if finished:
             yield finished
         if unwritten:
             raise WriteError(unwritten)
-        if lost >= HOPELESS and not any_result:
-            raise BearingsError(f"{lost} worker processes in a row ended without a result: {outcome.reason}")
+        if lost_in_a_row >= HOPELESS and not any_result:
+            raise BearingsError(f"{lost_in_a_row} worker processes in a row ended without a result: {outcome.reason}")
 
 
 class LocalEngine:
@@ -152,8 +152,8 @@ class LocalEngine:
         return list(self._units.values())
 
     @property
-    def has_room(self) -> bool:
-        """True if a unit (tuple of samples) that is submitted now is begun at once."""
+    def can_take_unit(self) -> bool:
+        """True if a worker is free, so that a unit (tuple of samples) that is submitted now is begun at once."""
         return len(self._units) < self.workers
 
     def sent(self, unit: Unit) -> Unit:
@@ -187,10 +187,10 @@ class LocalEngine:
 
 
 Solved = tuple[list[Record] | None, str]  # the records of a unit, or the reason why there are none
-_solvers: dict[tuple[str, int], "_Solver"] = {}  # of this process, by engine and thread
-_originals: dict[str, Original] = {}  # by engine, the process whose copies are its workers
+_solvers: dict[tuple[str, int], "_Solver"] = {}  # by engine and thread of this process
+_originals: dict[str, Original] = {}  # by engine, the process of which its workers are copies
 _closed: set[str] = set()  # names of engines that are closed
-_one_at_a_time = threading.Lock()  # processes are started and ended one by one: each start looks after all others
+_one_at_a_time = threading.Lock()  # held to start or end a process: multiprocessing checks all others at each start
 
 
 def solve_unit(unit: Unit, engine: str, work: Work, allowed: Callable[[Unit], float]) -> Solved:
@@ -213,7 +213,7 @@ def end_solvers(engine: str) -> None:
     """
     _closed.add(engine)
     if engine in _originals:
-        _originals[engine].give_up()  # for whose program to load a thread may wait
+        _originals[engine].give_up()  # a thread may wait until it has loaded the program
     with _one_at_a_time:
         ended = [_solvers.pop(key) for key in list(_solvers) if key[0] == engine]
         for solver in ended:
@@ -229,9 +229,9 @@ def end_solvers(engine: str) -> None:
 
 @dataclass
 class _Solver:
-    """A worker process that solves units (tuples of samples) one by one, as seen from the thread that it belongs to. It
-    is started with the first unit, and started again if it has ended, or for another device: a process can have one
-    Taichi runtime only.
+    """The worker process of one thread, which solves units (tuples of samples) one after the other. It is started with
+    the first unit, and started again if it has ended, or for another device: a process can have one Taichi runtime
+    only.
 
     engine : name of the engine.
     work : function that solves a unit.
@@ -273,7 +273,8 @@ class _Solver:
         """
         settings = unit[0].settings
         device = (settings.arch, settings.precision, settings.threads)
-        if self.process is not None and (self._device != device or self._has_answer(0)):  # it has ended meanwhile
+        # an idle process has an answer only if it has ended
+        if self.process is not None and (self._device != device or self._has_answer(0)):
             self._end()
         try:
             if self.process is None:
@@ -285,7 +286,7 @@ class _Solver:
                 self._end()
                 return None, f"no result within {seconds:g} s"
             records, is_healthy = self._pipe.recv()
-            if records is None:  # the second word is why, and the process ends
+            if records is None:  # the process could not load the unit; it says why, and ends
                 self._end()
                 return None, str(is_healthy)
         except (EOFError, OSError, pickle.UnpicklingError):  # it has ended, perhaps amid a message
@@ -333,7 +334,7 @@ class _Solver:
 
 
 def refuse_in_worker() -> None:
-    """Raise InputError in a worker process: it would start workers of its own, and these again, without end."""
+    """Raise InputError if this is a worker process: its workers would start workers, too, without end."""
     if multiprocessing.current_process().name == WORKER_NAME:
         raise InputError(
             "a module that a worker process imports calls solve_many itself; put such calls under "
@@ -352,12 +353,12 @@ def serve(pipe: Connection, pickled_work: bytes) -> None:
     sends what it has and ends, as its state may be damaged. Otherwise it saves its compiled kernels for later
     processes, if there is a parent that waits for that.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # where nothing keeps Ctrl-C from us: it is for the parent
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent alone
     threading.Thread(target=_end_with_parent, daemon=True).start()
     collect_cycles_seldom()
     keep_freed()
     work: Work = pickle.loads(pickled_work)
-    with contextlib.suppress(OSError):  # if memory runs out, let it be a worker that goes, not the scan
+    with contextlib.suppress(OSError):  # if memory runs out, Linux ends a worker first, not the scan
         Path("/proc/self/oom_score_adj").write_text("500")
     healthy, parent = True, multiprocessing.parent_process()
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError), pipe:
@@ -365,7 +366,7 @@ def serve(pipe: Connection, pickled_work: bytes) -> None:
         while healthy and pipe.poll(IDLE_SECONDS):
             try:
                 unit = pipe.recv()
-            except (AttributeError, ImportError, BearingsError) as error:  # of a module that it has to import
+            except (AttributeError, ImportError, BearingsError) as error:  # raised by a module that it has to import
                 pipe.send((None, f"a worker process cannot load what is solved: {error}"))
                 return
             records = work(unit)

@@ -26,7 +26,7 @@ KIND_KEYS = (
     "stiffness", "time_step", "error_tolerance", "arch", "precision", "packing", "driven",
 )  # fmt: skip
 """Settings on which the time of a sample depends most."""
-BEGUN = 0.1  # a time left is given once so much of the work is done, or earlier if most of the rest is of known kinds
+BEGUN = 0.1  # share of the work after which the time left is given, even if most of the rest is of kinds not measured
 
 
 def seconds_of(settings: RunSettings, structure: bool = False) -> float:
@@ -53,8 +53,8 @@ def seconds_beside(settings: RunSettings, structure: bool = False) -> float:
 def bytes_of(settings: RunSettings) -> float:
     """Return the estimated memory, bytes, of a worker that solves samples with these settings."""
     spheres = spheres_of(settings)
-    most = max(1, min(MOST_IN_A_UNIT, MOST_SITES_IN_A_UNIT // spheres))
-    return run_kind_of(settings).worker_bytes(settings, spheres, most)
+    samples_at_once = max(1, min(MOST_IN_A_UNIT, MOST_SITES_IN_A_UNIT // spheres))
+    return run_kind_of(settings).worker_bytes(settings, spheres, samples_at_once)
 
 
 def kind_of(settings: RunSettings) -> tuple[object, ...]:
@@ -79,10 +79,11 @@ def units_of(samples: Sequence[Sample], structure: bool = False, workers: int = 
         spheres, in_a_second = spheres_of(settings), int(UNIT_SECONDS / seconds_of(settings, structure))
         number = max(in_a_second, run_kind_of(settings).samples_at_a_time(settings, spheres))
         number = max(1, min(number, MOST_IN_A_UNIT, MOST_SITES_IN_A_UNIT // spheres))
+        # with this number each worker gets as many units as rounds; the last ones are as full as the others
         rounds = math.ceil(len(group) / (number * workers))
         number = math.ceil(len(group) / (rounds * workers))
         units += [tuple(group[start : start + number]) for start in range(0, len(group), number)]
-    first = {kind_of(unit[0].settings): unit for unit in reversed(units)}
+    first = {kind_of(unit[0].settings): unit for unit in reversed(units)}  # of each kind
     return sorted(units, key=lambda unit: first[kind_of(unit[0].settings)] is not unit)
 
 
@@ -100,7 +101,7 @@ def seconds_in_all(samples: Sequence[Sample], workers: int, structure: bool = Fa
 
 
 def paying_workers(samples: Sequence[Sample], most: int, structure: bool = False) -> int:
-    """Return how many workers are worth starting, each of which takes WORKER_START seconds to start.
+    """Return how many workers are worth starting: one for each WORKER_START seconds of work, the time of a start.
 
     samples : what is solved.
     most : largest number of workers.
@@ -172,17 +173,19 @@ class WorkLeft:
         workers : number of workers.
         elapsed : seconds since the start.
         """
-        pace = defaultdict[str, list[float]](lambda: [0.0, 0.0])  # by method, of what is done: seconds and cost
+        pace = defaultdict[str, list[float]](lambda: [0.0, 0.0])  # by method: seconds and cost of finished samples
         for kind in self.kinds.values():
             pace[kind.method][0] += kind.seconds
             pace[kind.method][1] += kind.done * kind.cost
-        each, left = dict[Kind, float](), {True: 0.0, False: 0.0}  # by whether their kind is measured
+        # seconds expected for one sample of each kind, and for all that remain, by whether their kind is measured
+        expected, left = dict[Kind, float](), {True: 0.0, False: 0.0}
         for kind in self.kinds.values():
             seconds, cost = pace[kind.method]
-            each[kind] = kind.seconds / kind.done if kind.done else kind.cost * seconds / cost if cost else math.inf
-            left[kind.done > 0] += kind.remaining * each[kind] if kind.remaining else 0.0
+            expected[kind] = kind.seconds / kind.done if kind.done else kind.cost * seconds / cost if cost else math.inf
+            left[kind.done > 0] += kind.remaining * expected[kind] if kind.remaining else 0.0
         done, all_left = sum(kind.seconds for kind in self.kinds.values()), sum(left.values())
         if not done or all_left == math.inf or (left[True] < left[False] and done < BEGUN * (done + all_left)):
             return None
-        half = 0.5 * sum(len(unit) * each[self.kinds[kind_of(unit[0].settings)]] for unit in running[:workers])
-        return (all_left - half) / workers * max(workers * elapsed / (done + half), 1.0)
+        half = 0.5 * sum(len(unit) * expected[self.kinds[kind_of(unit[0].settings)]] for unit in running[:workers])
+        slowdown = workers * elapsed / (done + half)  # time of the workers over the work done
+        return (all_left - half) / workers * max(slowdown, 1.0)

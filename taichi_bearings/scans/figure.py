@@ -1,6 +1,4 @@
-"""Draws any number of a scan against any of its parameters, with error bars, as figure and table: `bearings plot
-scan`.
-"""
+"""Draws one column of a scan against another, with error bars, as figure and table: `bearings plot scan`."""
 
 import itertools
 import math
@@ -50,9 +48,11 @@ Point = Json
 
 x : value of the parameter.
 number : number of samples with different coefficients.
-mean, standard_error, or ratio; low, high : statistics of y.
+mean and standard_error, or ratio : statistics of y.
+low, high : ends of the 95 % confidence interval of mean or ratio.
 plot_x, plot_y, plot_low, plot_high : x, y and the ends of the bar as drawn; not-a-number where no sample is left.
-used, asked, left_out : how many samples are in it, of how many that the scan asks for here, and why others are not.
+used, asked, left_out : numbers of samples in the point and of those that the scan asks for at it, and why others are
+    left out, in words.
 """
 Points = dict[tuple[Any, ...], list[Point]]  # points of each curve, by the values of the columns that tell curves apart
 
@@ -96,8 +96,8 @@ def plot_scan(
     request : what is drawn: the quantities on both axes, one curve for each value of which setting, conditions.
     out : PNG, PDF or SVG; None for a PDF in the folder of the scan, where an earlier one is replaced.
     force : True to replace a file `out`.
-    tell : function that is called with sentences that say how many of how many samples are in the figure, and in each
-        curve that lacks some.
+    tell : function that is called with sentences: how many samples are in the figure and how many are left out, and
+        the same for each curve that lacks some.
     page : how the figure is printed.
 
     Raises InputError or FileError before anything is written.
@@ -111,8 +111,8 @@ def plot_scan(
         columns = columns_of(scan, request)
         points, reasons = points_of(columns, request), columns[REASON]
         tell(str(Census.of(reasons.tolist())))
-        for part, own in groups(columns, request.by).items() if request.by else ():  # each curve that lacks some
-            if (census := Census.of(reasons[own].tolist())).left_out:
+        for part, rows in groups(columns, request.by).items() if request.by else ():  # curve by curve
+            if (census := Census.of(reasons[rows].tolist())).left_out:
                 words = ", ".join(f"{key} {named(key, value)}" for key, value in zip(request.by, part, strict=True))
                 tell(f"  {words}: {census}")
         save(draw_scan(curves_of(points, request), look_of(scan, columns, points, request), page), figure)
@@ -165,15 +165,15 @@ def points_of(columns: Mapping[str, np.ndarray], request: Request) -> Points:
     if (reasons != "").all():
         raise InputError(f"no sample has both {request.y} and {request.x}: {Census.of(reasons.tolist()).reasons}")
     known = (value for (value,) in groups(columns, [request.x]) if value not in (None, ""))
-    place = {value: float(n) for n, value in enumerate(known)}
+    place = {value: float(n) for n, value in enumerate(known)}  # where texts are drawn along x: 0, 1, ...
     points: Points = {}
     for (*part, x), rows in groups(columns, [*request.by, request.x]).items():
         if x not in place:
             continue
         used, census = rows[reasons[rows] == ""], Census.of(reasons[rows].tolist())
-        own = [independent(values[used], disorder[used]) for values in terms]
+        values = [independent(term[used], disorder[used]) for term in terms]
         at = float(x) if isinstance(x, (int, float)) else place[x]
-        point: Point = {"x": x, "number": len(own[0]), **_statistics(own, at)}
+        point: Point = {"x": x, "number": len(values[0]), **_statistics(values, at)}
         point |= zip(CENSUS_COLUMNS, (census.used, census.asked, census.reasons), strict=True)
         points.setdefault(tuple(part), []).append(point)
     # Logarithmic axes need positive numbers.
@@ -241,38 +241,40 @@ def curves_of(points: Points, request: Request) -> list[Curve]:
             "choose samples by --where"
         )
     curves = []
-    for part, own in points.items():
-        drawn = np.array([[p[name] for name in DRAWN_COLUMNS] for p in own if p["number"]]).reshape(-1, 4)
-        asked = sum(point["asked"] for point in own)
+    for part, of_curve in points.items():
+        drawn = np.array([[p[name] for name in DRAWN_COLUMNS] for p in of_curve if p["number"]]).reshape(-1, 4)
+        asked = sum(point["asked"] for point in of_curve)
         label = ", ".join(map(named, request.by, part))
         curves.append(Curve(label + f": none of {asked:,} samples" * (not len(drawn)), *drawn.T))
     return curves
 
 
 def look_of(scan: StoredScan, columns: Mapping[str, np.ndarray], points: Points, request: Request) -> Look:
-    """Return labels, legend and title of the figure; the title says over what was averaged, and what all samples share.
+    """Return labels, legend and title of the figure. The title says over which settings the samples are averaged, and
+    which settings all of them share.
 
     scan : where the samples come from.
     columns : table of the samples.
     points : what is drawn, by curve.
     request : which columns are shown.
     """
+    # settings over which samples are averaged: those that vary and are neither on the x axis nor tell curves apart
     used = {request.x, *request.by, *(condition.partition("=")[0] for condition in request.where)}
     used |= {"shape"} if SIZE in used else set()
     over = [key for key in scan.scanned if key in columns and key not in used and len(groups(columns, [key])) > 1]
     census = Census.of(columns[REASON].tolist())
     every = sorted(itertools.chain(*points.values()), key=lambda point: point["plot_x"])
     number = sum(point["number"] for point in every)
-    alike = f", {number:,} independent" if number < census.used else ""
+    independents = f", {number:,} independent" if number < census.used else ""
     left_out = f"\nleft out: {census.reasons}" if census.left_out else ""
-    alike_in = ", ".join(shared_by_all(scan, columns, request))
+    shared = ", ".join(shared_by_all(scan, columns, request))
     bars = "ratios of means with 95 % intervals" if "/" in request.y else "means with standard errors"
     numbers = all(isinstance(point["x"], (int, float)) for point in every)
     return Look(
         x_label=column_label(request.x),
         y_label=column_label(request.y),
-        title=f"{census.share}{alike}{' over ' + ', '.join(over) if over else ''}: {bars}{left_out}"
-        + f"\n{alike_in}" * bool(alike_in),
+        title=f"{census.share}{independents}{' over ' + ', '.join(over) if over else ''}: {bars}{left_out}"
+        + f"\n{shared}" * bool(shared),
         legend=", ".join(request.by),
         log=request.log,
         ticks=() if numbers else list(dict.fromkeys(named(request.x, point["x"]) for point in every)),
@@ -280,8 +282,8 @@ def look_of(scan: StoredScan, columns: Mapping[str, np.ndarray], points: Points,
 
 
 def shared_by_all(scan: StoredScan, columns: Mapping[str, np.ndarray], request: Request) -> list[str]:
-    """Return in words the settings that all samples of a figure have in common: size, law and distribution, and others
-    that the scan or a condition of the request fixes. Columns that the figure shows are left out.
+    """Return in words the settings that all samples of a figure share and that the figure does not show: size, law and
+    distribution, and others that the scan or a condition of the request fixes.
 
     scan : where the samples come from.
     columns : table of the samples.
@@ -289,7 +291,7 @@ def shared_by_all(scan: StoredScan, columns: Mapping[str, np.ndarray], request: 
     """
     try:
         given = {key: written(value) for key, value in parse_toml(scan.attributes["scan"]).items()}
-    except BearingsError:  # a text that no scan writes
+    except BearingsError:  # the text is not TOML, as in a file that was changed
         given = {}
     table = settings_table()
     if not given.keys() & {"coefficients", "packing"} and scan.attributes["scan"]:
@@ -307,13 +309,13 @@ def shared_by_all(scan: StoredScan, columns: Mapping[str, np.ndarray], request: 
 
 
 def rows_of(points: Points, request: Request) -> tuple[list[str], list[list[Any]]]:
-    """Return the table that is written beside the figure: the names of its columns, and a row for each point. A row has
-    the values of the columns `request.by` that name the curve, then x, then all numbers of the point.
+    """Return the table that is written beside the figure: the names of its columns, and a row for each point. A row
+    begins with the values of the columns `request.by`, which name the curve; then come x and all numbers of the point.
 
     points : the points of each curve, by these values.
     request : what is drawn.
     """
-    rows = [[*part, *point.values()] for part, own in points.items() for point in own]
-    _, *others = next(iter(points.values()))[0]
+    rows = [[*part, *point.values()] for part, of_curve in points.items() for point in of_curve]
+    _, *numbers = next(iter(points.values()))[0]  # names of what a point has after x
     cells = [["" if isinstance(v, float) and math.isnan(v) else v for v in row] for row in rows]
-    return [*request.by, request.x, *others], cells
+    return [*request.by, request.x, *numbers], cells

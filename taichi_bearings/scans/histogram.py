@@ -113,7 +113,7 @@ def _source_of_scan(scan: StoredScan) -> Source:
     """Return the samples of a stored scan in the form that histograms are made from: columns of numbers, and counts of
     contacts by bins of power.
     """
-    table, own = scan.table, np.flatnonzero(scan.reasons == "")
+    table, solved = scan.table, np.flatnonzero(scan.reasons == "")
 
     def column(name: str) -> np.ndarray:
         """Return the column `name` of the table, (samples,), with all samples that were asked for."""
@@ -122,13 +122,13 @@ def _source_of_scan(scan: StoredScan) -> Source:
         return table[name]
 
     def disorder() -> list[Any]:
-        """Return for each sample with a result a name of its disorder: samples with the same coefficients, in one
-        system, have equal names."""
-        document = parse_toml(str(scan.attributes["scan"]))  # keys that all samples share
-        alike = RunSettings(**{key: value for key, value in document.items() if key in RunSettings.keys()})
-        return disorder_of({name: values[own] for name, values in table.items()}, alike)
+        """Return for each sample with a result a name of its disorder: equal for samples with the same coefficients in
+        the same system."""
+        document = parse_toml(str(scan.attributes["scan"]))
+        shared = RunSettings(**{key: value for key, value in document.items() if key in RunSettings.keys()})
+        return disorder_of({name: values[solved] for name, values in table.items()}, shared)
 
-    fine = scan.histograms.of(own)
+    fine = scan.histograms.of(solved)
     contacts = fine.contacts.sum(axis=1)
     counts = partial(rebinned, fine)
     return Source(scan.path, scan.reasons, column, contacts, counts, disorder, is_scan=True, scanned=scan.scanned)
@@ -141,12 +141,13 @@ def _source_of_run(run: Result) -> Source:
     assert run.path is not None
     settings, path, given = run.asked, file_of(run.path), list[tuple[np.ndarray, ...]]()
     attributes, power, state = run.attributes, run.solution.power_per_contact, run.solution.state
-    in_lists = run.scene.network.lattice is None
-    if in_lists or attributes.get("coefficients"):
-        own = (run.scene.network.contact,) if in_lists else ()
-        given = [(*own, *values) for values in zip(*run.solution.scene.material, strict=True)]
+    is_packing = run.scene.network.lattice is None
+    # arrays that identify the disorder of each replica, where its coefficients were not drawn from a seed
+    if is_packing or attributes.get("coefficients"):
+        ends = (run.scene.network.contact,) if is_packing else ()
+        given = [(*ends, *values) for values in zip(*run.solution.scene.material, strict=True)]
     replicas = len(state)
-    known = {*attributes, *RunSettings.keys()} - {"scene", "command"} - ({"shape"} if in_lists else set())
+    known = {*attributes, *RunSettings.keys()} - {"scene", "command"} - ({"shape"} if is_packing else set())
 
     def column(name: str) -> np.ndarray:
         """Return the attribute or setting `name` of each replica, (replicas,)."""
@@ -193,7 +194,7 @@ def pooled(
         number of such bins.
     normalise : unit of power: "none", or "mean" for the mean power of a contact of the sample.
     by : name of the column whose values tell the histograms apart, or None.
-    where : conditions KEY=VALUE on columns, which the samples that are pooled meet.
+    where : conditions KEY=VALUE on columns; only samples that meet all of them are pooled.
     """
     if any(source.is_scan for source in sources) and BINS_PER_DECADE % bins_per_decade:
         raise InputError(f"bins_per_decade is {bins_per_decade}; for a scan it must be 1, 2, 4, 5, 10 or 20")
@@ -208,16 +209,16 @@ def pooled(
     counts = joined_counts([source.counts(bins_per_decade, source.unit(normalise)) for source in sources])
     threshold = np.concatenate([source.numbers("slip_threshold") for source in sources])
     disorder = numbered(name for source in sources for name in source.disorder())
-    place = np.cumsum(reasons == "") - 1  # of those with a result among themselves
+    place = np.cumsum(reasons == "") - 1  # number of each sample with a result among all with a result
 
     def of(rows: np.ndarray) -> PowerHistogram:
         """Return the histogram of some samples.
 
         rows : (n,) numbers of these samples among all that were asked for.
         """
-        census, own = Census.of(reasons[rows].tolist()), place[rows[reasons[rows] == ""]]
-        coarsest = float(threshold[own].max(initial=0.0))
-        return pool(counts.of(own), coarsest, POWER_UNITS[normalise], disorder[own], census.left_out)
+        census, used = Census.of(reasons[rows].tolist()), place[rows[reasons[rows] == ""]]
+        largest_threshold = float(threshold[used].max(initial=0.0))
+        return pool(counts.of(used), largest_threshold, POWER_UNITS[normalise], disorder[used], census.left_out)
 
     if by is None:
         return {None: of(chosen)}
@@ -239,13 +240,13 @@ def _whole(sources: Sequence[Source], name: str) -> np.ndarray:
 
 
 def _meeting(sources: Sequence[Source], where: Sequence[str]) -> np.ndarray:
-    """Return a mask (samples,) of those samples, of all that were asked for, that meet some conditions.
+    """Return a mask (samples,) over all samples that were asked for: True where a sample meets all conditions.
 
     sources : runs and scans.
     where : conditions KEY=VALUE.
     """
     keys = [condition.partition("=")[0] for condition in where]
-    return meeting(where, {key: _whole(sources, key) for key in keys or ["law"]})
+    return meeting(where, {key: _whole(sources, key) for key in keys or ["law"]})  # a table needs a column
 
 
 def histogram(
@@ -323,9 +324,12 @@ def _report(histograms: Histograms, by: str | None) -> Json:
 
 
 def _numbers_of(parts: Sequence[PowerHistogram]) -> Json:
-    """Return numbers of contacts and samples in some histograms together, by name: `slipping`, `slipless`, `tied` and
-    `undecided` contacts; `samples` that are pooled; `asked`, all samples that were asked for; `left_out`, for each
-    reason how many are not pooled; and `census`, the last three in words.
+    """Return numbers of contacts and samples in some histograms together, by name.
+
+    slipping, slipless, tied, undecided : numbers of contacts in these states.
+    samples, asked : numbers of samples that are pooled, and of all that were asked for.
+    left_out : number of samples that are not pooled, by reason.
+    census : the numbers of samples in words.
 
     parts : the histograms.
     """

@@ -19,6 +19,7 @@ from taichi_bearings.words import counted, driving_words, listed, sized
 RUN_KIND, SCAN_KIND = "run", "scan"
 RUN_FILES = ("run.h5", "summary.json", "checkpoint.h5")  # files that hold its results
 STRESS_TABLE = "stress.csv"  # in the folder of `bearings stress`, which has a summary of its own
+# key and status of a sample in a line of a journal, found without reading the JSON
 RECORD = re.compile(rb'\{"crc32": "[0-9a-f]{8}", "sample": \{"key": "([^"]+)".*?"status": "([^"]*)"')
 SUMMARY_KEYS = {  # keys of a summary that are listed: their type, and whether None is allowed
     "law": (str, False), "method": (str, False), "seed": (int, False), "status": (str, False), "power": (float, True),
@@ -26,7 +27,7 @@ SUMMARY_KEYS = {  # keys of a summary that are listed: their type, and whether N
     "states_proven": (bool, True), "coefficients": (str, True), "periodic": (str, True), "top": (float, True),
     "bottom": (float, True), "driven": (str, True),
 }  # fmt: skip
-LARGEST_NUMBER = 1e300
+LARGEST_NUMBER = 1e300  # a summary with a larger number is damaged
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ def _kind_of(path: Path) -> str:
 
 
 def _entry(path: Path) -> Entry | None:
-    """Return the entry of the folder `path`, with a problem if it cannot be read; None for what is neither a run nor a
+    """Return the entry of the folder `path`, with a problem if it cannot be read; None if it is neither a run nor a
     scan.
     """
     kind, values, problem, times = "", {}, "", [0.0]
@@ -139,11 +140,11 @@ def _values_of_scan(path: Path) -> Json:
     and how many its journals hold by status.
     """
     asked, scanned, fixed = count_samples(path / "scan.toml")
-    last: dict[bytes, bytes] = {}
+    statuses: dict[bytes, bytes] = {}  # by key; the last record of a sample counts
     for journal in journals_in(path):
         lines = (line for line in read_lines(journal) if line.endswith(b"}}\n"))
-        last.update((found[1], found[2]) for line in lines if (found := RECORD.match(line)))
-    states = Counter(status.decode(errors="replace") for status in last.values())
+        statuses.update((found[1], found[2]) for line in lines if (found := RECORD.match(line)))
+    states = Counter(status.decode(errors="replace") for status in statuses.values())
     failed = states.pop(FAILED, 0)
     shared = {name: fixed.get(name) for name in ("shape", "law", "method", "seed")}
     shared = {name: value if _has_type(value, int, True) else str(value) for name, value in shared.items()}

@@ -13,9 +13,9 @@ MODULES = (
 )  # fmt: skip
 
 postpone()
-gc.disable()  # modules make many objects and hardly any cycles: looking for them takes a tenth of the time
+gc.disable()  # modules make many objects and hardly any cycles: the search for cycles takes a tenth of the time
 for name in MODULES:
     with contextlib.suppress(Exception):  # a worker that needs it will say what is wrong
         importlib.import_module(name)
-gc.freeze()  # no copy looks through all this for cycles, which would copy its memory
+gc.freeze()  # copies leave these objects out of their search for cycles, which would copy their memory
 gc.enable()

@@ -69,7 +69,8 @@ def part_numbers(plan: ScanPlan, parts: int) -> dict[str, int]:
     for group in groups:
         first = len(numbers)
         for place, indices in enumerate(np.array_split(np.arange(len(group)), min(parts, len(group)))):
-            numbers.update((group[index].key, (first + place) % parts + 1) for index in indices)
+            number = (first + place) % parts + 1  # go on with the part after the one that got the last sample
+            numbers.update((group[index].key, number) for index in indices)
     return numbers
 
 
@@ -102,8 +103,9 @@ def read_journals(folder: Path) -> dict[str, Json]:
     records: dict[str, Json] = {}
     for file in journals_in(folder):
         for key, record in read_journal(file, is_sample).items():
-            both = (records.get(key, record), record)  # of equal ones the later
-            records[key] = max(reversed(both), key=lambda one: (not is_failed(one), len(one["scalars"])))
+            earlier = records.get(key, record)
+            # max takes the first of equals: the later record
+            records[key] = max(record, earlier, key=lambda one: (not is_failed(one), len(one["scalars"])))
     return records
 
 

@@ -88,8 +88,8 @@ class ScanPlan:
         return toml_text(self.options) + self.settings
 
     def going_on_in(self, folder: Path) -> "ScanPlan":
-        """Return the plan completed by options that `folder` was given earlier: options of the scan (SCAN_OPTIONS) that
-        this plan lacks are taken from the scan.toml there.
+        """Return this plan with the options of the scan (SCAN_OPTIONS) that it lacks, as far as the scan.toml in a
+        folder has them from an earlier call.
 
         folder : folder of the scan.
         """
@@ -209,7 +209,8 @@ def _samples(
     for parts in itertools.product(*axes):
         given = dict(zip(scanned, itertools.chain.from_iterable(parts), strict=True))
         is_new = base is None or "coefficients" in given or given.get("packing", base.packing) != base.packing
-        if base is None or is_new:  # checked for unknown keys; and files say more than their names
+        # unknown keys are refused here; a file of coefficients or a packing determines further settings
+        if base is None or is_new:
             base = RunSettings.from_mapping({**document, **given}, str(path))
         settings = replace(base, **given)
         point = {name: getattr(settings, name) for name in scanned}
@@ -229,7 +230,7 @@ def _points(axes: Sequence[Axis]) -> list[list[tuple[Any, ...]]]:
     """
     points: list[list[tuple[Any, ...]]] = []
     for axis in axes:
-        # Values of each setting of this axis, as far as the number of samples allows.
+        # Values of each setting of this axis; `most` is the number of points that MOST_SAMPLES leaves for the axis.
         columns, most = dict[str, list[Any]](), MOST_SAMPLES // math.prod(map(len, points))
         for key, given in axis.items():
             if isinstance(given, Mapping):
@@ -273,28 +274,31 @@ def _range(key: str, table: Mapping[str, object]) -> tuple[float, Callable[[int]
         or (is_spaced and (start == stop or (spacing == "log" and min(start, stop) <= 0)))
     ):
         raise InputError(f"{key} in [scan] is {toml_value(table)}; a range is {RANGES}")
-    if is_spaced:  # in themselves or in their logarithm, both ends as they are given
-        inner: dict[str, Callable[[float], float]]
-        inner = {"linear": lambda share: start + (stop - start) * share, "log": lambda s: start * (stop / start) ** s}
+    if is_spaced:  # both ends are exactly as they are given
+        between: dict[str, Callable[[float], float]]  # value at a share, 0 to 1, of the way from start to stop
+        between = {"linear": lambda share: start + (stop - start) * share, "log": lambda s: start * (stop / start) ** s}
         ends = {0: start, number - 1: stop}
-        return number, lambda i: ends[i] if i in ends else inner[spacing](i / (number - 1))
+        return number, lambda i: ends[i] if i in ends else between[spacing](i / (number - 1))
     steps = (stop - start) / step if step else 0.0
-    count = math.ceil(steps - 1e-9) if abs(steps) < math.inf else math.inf
+    count = math.ceil(steps - 1e-9) if abs(steps) < math.inf else math.inf  # 1.1 / 0.1 is rounded to more than 11
     if count < 1 or not steps > 0:
         raise InputError(f"{key} in [scan] is {toml_value(table)}, which has no values, since stop is excluded")
     return count, lambda i: start + i * step
 
 
 def files_of(settings: RunSettings) -> list[tuple[str, str]]:
-    """Return pairs of the settings whose values name files, and these names."""
+    """Return the files that a sample needs, as pairs: name of the setting that names the file, and name of the file.
+
+    settings : settings of the sample.
+    """
     return [(name, file) for name in NAMED_FILES if (file := getattr(settings, name)) not in (None, *STARTS)]
 
 
 def sample_key(settings: RunSettings) -> str:
     """Return the key of a sample: a hash of all settings that may change its result.
 
-    These are the settings that differ from their defaults, with files by their content. So an option added to the
-    program later changes no key.
+    Only settings that differ from their defaults are hashed, so that an option that is added to the program later
+    changes no key. Files are hashed by their content.
     """
     table = settings_table()
     values = {key: value for key, value in settings.given.items() if not table[key].not_scanned}
@@ -317,8 +321,8 @@ def content_of(name: str) -> str:
 
 @lru_cache(maxsize=1024)
 def _content(name: str, path: Path, *_: int) -> str:
-    """Return the hash of a file's content; it is computed again only if time or size of the file, the last arguments,
-    have changed.
+    """Return the hash of a file's content. It is computed again only if time or size of the file has changed: these are
+    the last arguments, so that the cache compares them.
 
     name : what the user calls the file, for messages.
     path : path of the file itself.
@@ -344,10 +348,9 @@ def spheres_of(settings: RunSettings) -> int:
 
 @lru_cache(maxsize=1024)
 def _spheres(name: str, _: str) -> int:
-    """Return the number of spheres in the packing file `name`; it is read again only if the hash of its content, the
-    last argument, has changed.
+    """Return the number of spheres in the packing file `name`.
 
-    _ : hash of the content of the file; the result is kept for each pair of name and hash.
+    _ : hash of the content of the file: the cache keeps the result for each pair of name and hash.
     """
     from taichi_bearings.scene.packing import Packing  # and with it much of SciPy
 

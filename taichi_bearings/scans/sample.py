@@ -38,10 +38,10 @@ def solve_samples(samples: Sequence[Sample], analyse: bool = False, states: Path
     analyse : True to compute the numbers of `bearings analyse`, too.
     states : folder for the full states; None to store none.
 
-    A record is valid JSON: `key`; `scalars`, the summary of `bearings run` for that sample alone, nothing but numbers
-    and texts; `bins`, number of slipping contacts by number of the power bin. A sample that raises gives a record whose
-    status is failed, with the reason as `error`, and `final` if another try is pointless. If the disk failed and not
-    the sample, the record has `unwritten`, and the samples after it are not tried.
+    A record is valid JSON: `key`; `scalars`, the numbers and texts in the summary of `bearings run` for that sample
+    alone; `bins`, number of slipping contacts by number of the power bin. A sample whose solve raises an exception
+    gets the status failed, with the reason as `error`, and `final` if another try is pointless. If the disk failed and
+    not the sample, the record has `unwritten`, and the samples after it are not tried.
     """
     records: dict[str, Json] = {}
     with one_thread():
@@ -61,14 +61,14 @@ def solve_samples(samples: Sequence[Sample], analyse: bool = False, states: Path
 
 
 def _blocks(samples: Sequence[Sample]) -> Iterator[list[Sample]]:
-    """Yield lists of samples that are solved together as one scene, since they differ in their seeds only and are
-    solved to the same bits as alone. A sample that cannot be solved together with others is a list of its own.
+    """Yield lists of samples that are solved together as one scene: they differ in their seeds only, and each gets the
+    same bits as if it were solved alone. A sample that cannot be solved together with others is a list of its own.
     """
     for group in groups_of(samples):
-        yield from [group] if _are_alike(group) else [[sample] for sample in group]
+        yield from [group] if _are_solved_together(group) else [[sample] for sample in group]
 
 
-def _are_alike(group: Sequence[Sample]) -> bool:
+def _are_solved_together(group: Sequence[Sample]) -> bool:
     """Return True if samples that differ in their seeds can be solved together. It is False for a packing that cannot
     be read: each sample then reports that itself.
 
@@ -126,8 +126,9 @@ def _record(key: str, run: Result, analyse: bool) -> Json:
     counts = count_powers(answer.power_per_contact, answer.state, BINS_PER_DECADE)
     bins = {str(number): many for number, many in enumerate(counts.count[0].tolist(), start=counts.first) if many}
     record = {name: plain(value) for name, value in scalars.items()}
-    record["shape"] = "x".join(map(str, record["shape"] or ())) or []  # packings have none
-    record["warnings"] = "; ".join(record["warnings"]) or []  # no column where there is nothing to say
+    # an empty list, for packings without shape and runs without warnings, is left out below, like all lists
+    record["shape"] = "x".join(map(str, record["shape"] or ())) or []
+    record["warnings"] = "; ".join(record["warnings"]) or []
     record = {
         name: value for name, value in record.items() if value is None or isinstance(value, (bool, int, float, str))
     }
@@ -185,7 +186,7 @@ def solve_tasks(tasks: Sequence[JobTask]) -> list[Json]:
 
 
 def solve_all(tasks: Sequence[JobTask], workers: int) -> Iterator[Result]:
-    """Yield the results of jobs as they come, each with the very scene that the user gave.
+    """Yield the results of jobs as they come; the scene of each result is the object that the user gave, not a copy.
 
     tasks : the jobs.
     workers : number of processes.

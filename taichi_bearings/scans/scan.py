@@ -1,6 +1,4 @@
-"""Runs a scan from its plan: solves what is missing, writes every sample down as it comes, and collects all in
-scan.h5.
-"""
+"""Runs a scan from its plan: solves missing samples, records each in a journal, and collects all in scan.h5."""
 
 import logging
 import math
@@ -37,7 +35,7 @@ if TYPE_CHECKING:
 
 REWRITE = 60.0  # least seconds between two writings of scan.h5 while a scan runs
 REACHED_STATUS = [status.value for status in Status if status.reached]
-LEAST_ALLOWED, ALLOWED = 600.0, 100.0  # a sample may take so many seconds, or so many times its estimate if more
+LEAST_ALLOWED, ALLOWED = 600.0, 100.0  # a sample may take so many seconds or, if that is more, times its estimate
 
 
 @dataclass
@@ -121,7 +119,7 @@ def refuse_unused(plan: ScanPlan, folder: Path, is_here: bool = False) -> None:
     is_here : True if the scan is solved on this machine.
     """
     found, used = dict[str, str](), set[str]()
-    for group in groups_of(plan.samples):  # all but their seeds alike
+    for group in groups_of(plan.samples):  # samples of a group differ in the seed only
         settings = group[0].settings
         if not LAWS[settings.law].is_sum:
             known = ", ".join(name for name, law in LAWS.items() if law.is_sum)
@@ -205,8 +203,8 @@ def scan(
     part : part of the scan that is solved alone; only its journal is written then. None for the whole scan.
 
     Ctrl-C and SIGTERM end the scan; finished samples are kept. Samples that lack something that is asked for are solved
-    again. Options of the scan itself that the plan does not give are those that the folder was given before. By default
-    a sample may take 100 times the expected time, at least 600 s; there is no limit for dynamics.
+    again. Options of the scan itself that the plan lacks are those of the scan.toml in the folder. By default a sample
+    may take 100 times the expected time, at least 600 s; there is no limit for dynamics.
 
     Raises InputError or FileError before anything is computed.
     """
@@ -308,11 +306,12 @@ class _Course:
         monitor : function that is called now and then with the progress.
         """
         self.began = time.monotonic()
-        self.due = self.began + REWRITE  # when files are to be written again
+        self.next_write = self.began + REWRITE  # time at which scan.h5 is to be written again
         self.plan, self.folder, self.monitor = parts.part_of(plan, part), folder, monitor
         self.journal = folder / (JOURNAL if part is None else f"{part.name}.jsonl")
-        self.files = [folder / name for name in ("scan.h5", "scan.csv")] if part is None else []  # else by the merge
-        self.others = sum(file.stat().st_size for file in parts.journals_in(folder) if file != self.journal)
+        # files that are made of the records; those of parts are made by `merge`
+        self.files = [folder / name for name in ("scan.h5", "scan.csv")] if part is None else []
+        self.other_journals = sum(file.stat().st_size for file in parts.journals_in(folder) if file != self.journal)
         missing, self.records = missing_samples(plan, folder, part)
         self.missing = {sample.key: sample for sample in missing}  # samples that still lack something
         before = len(self.plan.samples) - len(missing)
@@ -339,10 +338,10 @@ class _Course:
             self.monitor(self.progress)
             if stopped.is_set():
                 return
-            if self.files and (began := time.monotonic()) > self.due:
+            if self.files and (began := time.monotonic()) > self.next_write:
                 self._write()
                 written = time.monotonic()
-                self.due = written + max(REWRITE, 50 * (written - began))
+                self.next_write = written + max(REWRITE, 50 * (written - began))  # at most 2 % of the time is writing
 
     def _record_finished(self, finished: Sequence[Record], work: cost.WorkLeft, journal: Journal) -> None:
         """Record finished samples in the journal and count them. A failure does not replace an earlier result.
@@ -374,7 +373,7 @@ class _Course:
 
         removes : True to remove figures that are out of date first.
         """
-        journals = self.others + (self.journal.stat().st_size if self.journal.exists() else 0)
+        journals = self.other_journals + (self.journal.stat().st_size if self.journal.exists() else 0)
         self.removed = outdated_figures(self.folder, journals) if removes else []
         for figure in self.removed:
             figure.unlink(missing_ok=True)

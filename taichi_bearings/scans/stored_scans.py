@@ -1,6 +1,6 @@
-"""Makes the table of a scan of the records of its samples, and reads it from a folder.
+"""Makes the table of a scan from the records of its samples, and reads it from a folder.
 
-The scan there may be running, killed or complete. Commands read scans in no other way.
+The scan there may be running, killed or complete. All commands read scans by `open_scan`.
 """
 
 import logging
@@ -34,20 +34,14 @@ from taichi_bearings.scene import Scene
 from taichi_bearings.scene.law import COULOMB
 from taichi_bearings.version import VERSION
 
-DRAWN = ("seed", "coefficients")  # settings that a disorder comes from
+DRAWN = ("seed", "coefficients")  # settings from which a disorder follows
 CENSUS_COLUMNS = ("used", "asked", "left_out")  # the last ones of the table beside a figure of a scan
 FIRST_COLUMNS = ("power", "lower_bound", "gap", "status", "method", "slipping", "slipless", "seconds")
 """Columns that come after the scanned keys."""
-OF_A_SPANNING_NETWORK = {"shortest_path", "mean_distance", "busiest_link_share"}  # exist if bottom and top are joined
-SETTING_COLUMNS = (
-    "law",
-    "shape",
-    "seed",
-    "spin_top",
-    "spin_bottom",
-    "normal_force",
-    "radius",
-)  # known without a result
+# columns that have a value only if slipless contacts join bottom and top
+OF_A_SPANNING_NETWORK = {"shortest_path", "mean_distance", "busiest_link_share"}
+SETTING_COLUMNS = ("law", "shape", "seed", "spin_top", "spin_bottom", "normal_force", "radius")
+"""Columns that failed samples have, too: their values are settings."""
 
 
 def is_scan(path: Path) -> bool:
@@ -62,12 +56,12 @@ def is_scan(path: Path) -> bool:
 
 
 def open_scan(path: Path) -> StoredScan:
-    """Return the scan in a folder or beside a scan.h5, with a row for each sample that it asks for; nothing is written.
+    """Return a scan with a row for each sample that it asks for; nothing is written.
 
-    path : the folder, or the file scan.h5 in it.
+    path : the folder of the scan, or the file scan.h5 in it.
 
-    scan.h5 is taken if it is complete and holds what the journals hold. Otherwise the table is made of the journals,
-    and samples that are not computed yet are in it as missing. Raises FileError if there is neither.
+    scan.h5 is read if it is complete and as new as the journals. Otherwise the table is made from the journals, and
+    samples that are not computed yet have the status missing. Raises FileError if there is neither.
     """
     refuse_run(path)
     if path.suffix == ".toml" and path.is_file():
@@ -104,8 +98,8 @@ def open_scan(path: Path) -> StoredScan:
 
 
 def outdated_figures(folder: Path, journals: int) -> list[Path]:
-    """Return the figures of a scan in its folder, and the tables beside them; none if scan.h5 holds all that the
-    journals hold.
+    """Return the figures of a scan in its folder, and the tables beside them, if the journals have grown since scan.h5
+    was written; else none.
 
     folder : folder of the scan.
     journals : size of all journals, bytes.
@@ -115,9 +109,10 @@ def outdated_figures(folder: Path, journals: int) -> list[Path]:
             return []
     except FileError:
         pass  # no scan.h5, or one that says nothing
-    last = ",".join(("plot_high", *CENSUS_COLUMNS)).encode()
+    # files of the user are left alone: only tables of figures have these last columns
+    last_columns = ",".join(("plot_high", *CENSUS_COLUMNS)).encode()
     found = [table for table in folder.glob("*_against_*.csv") if table.is_file()]
-    tables = [table for table in found if next(read_lines(table), b"").rstrip().endswith(last)]
+    tables = [table for table in found if next(read_lines(table), b"").rstrip().endswith(last_columns)]
     endings = (".pdf", ".png", ".csv")
     return [file for table in tables for file in map(table.with_suffix, endings) if file.is_file()]
 
@@ -139,8 +134,8 @@ def columns_of(plan: ScanPlan, records: Mapping[str, Mapping[str, object]]) -> d
     plan : the plan of the scan.
     records : records of samples, by the key of the sample.
 
-    The scanned settings come first, then FIRST_COLUMNS, then whatever else the records hold. A result that has the name
-    of a scanned setting and may differ from it is called ``<name>_found``.
+    The scanned settings come first, then FIRST_COLUMNS, then whatever else the records hold. A result with the name of
+    a scanned setting from which it may differ, such as the method, gets the column ``<name>_found``.
     """
     samples = [sample for sample in plan.samples if sample.key in records]
     scalars = [_scalars(sample, records[sample.key]) for sample in samples]
@@ -159,15 +154,15 @@ def columns_of(plan: ScanPlan, records: Mapping[str, Mapping[str, object]]) -> d
 
 
 def _scalars(sample: Sample, record: Mapping[str, Any]) -> Json:
-    """Return numbers and texts of a sample by name: those of its record, and those of its settings that the record
-    lacks, as that of a failed sample does.
+    """Return numbers and texts of a sample by name: those of its record and, where the record lacks them because the
+    sample failed, those of its settings.
 
     sample : the sample with its settings.
     record : record of the sample in the journal.
     """
     found, settings = dict(record["scalars"]), sample.settings
     known = set(SETTING_COLUMNS if settings.packing is None else ("law", "seed")) - found.keys()
-    if (settings.top, settings.bottom) != (None, None):  # which replace the spins
+    if (settings.top, settings.bottom) != (None, None):  # imposed bearing states replace the imposed spins
         known -= set(Scene.BY_SPINS)
     return found | {name: written(getattr(settings, name)) for name in SETTING_COLUMNS if name in known}
 
@@ -184,13 +179,14 @@ def histograms_of(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> S
 
 
 def disorder_of(columns: Mapping[str, np.ndarray], settings: RunSettings | None = None) -> list[tuple[Any, ...]]:
-    """Return for each row of a table of samples a name for its disorder, the coefficients of its contacts. Rows with
-    equal names are the same system with the same coefficients, so they are no independent samples: they differ at most
-    in how they were solved, and in settings that their methods or laws do not use. In a table without seeds all names
-    differ.
+    """Return for each row of a table of samples a name for its disorder, the coefficients of its contacts.
 
     columns : the table, arrays (rows,) by name.
     settings : settings of all rows, where no column has them; needed to compare the names of several tables.
+
+    Rows with equal names are the same system with the same coefficients, so they are no independent samples: they
+    differ at most in how they were solved, and in settings that their methods or laws do not use. In a table without
+    seeds all names differ.
     """
     rows, table = len(next(iter(columns.values()))), settings_table()
     of_system = [key for key, item in table.items() if key not in DRAWN and not item.of_solving]
@@ -201,13 +197,17 @@ def disorder_of(columns: Mapping[str, np.ndarray], settings: RunSettings | None 
     names = [seeds, columns["coefficients"].tolist() if "coefficients" in columns else seeds]
     methods = columns.get("method_found", columns.get("method", np.full(rows, None))).tolist()
     laws = columns.get("law", np.full(rows, COULOMB.name)).tolist()
-    solved = list(zip(methods, laws, strict=True))
+    solved_by = list(zip(methods, laws, strict=True))
     for key in of_system:
         if key in columns:
-            by_all, (users, suited) = table[key].methods is None, users_of(table[key])
-            used = {one: one[0] is None or ((by_all or one[0] in users) and one[1] in suited) for one in set(solved)}
+            # a setting is part of the name only for the methods and laws that use it
+            by_all_methods, (users, users_laws) = table[key].methods is None, users_of(table[key])
+            is_used = {
+                (method, law): method is None or ((by_all_methods or method in users) and law in users_laws)
+                for method, law in set(solved_by)
+            }
             values_of_key = columns[key].tolist()
-            names.append([value if used[one] else None for value, one in zip(values_of_key, solved, strict=True)])
+            names.append([value if is_used[one] else None for value, one in zip(values_of_key, solved_by, strict=True)])
     return list(zip(*names, strict=True))
 
 

@@ -68,7 +68,7 @@ class Here:
         self.options, self.running, self.outcomes = (analyse, states), [], []
 
     @property
-    def has_room(self):
+    def can_take_unit(self):
         return not self.outcomes
 
     def submit(self, unit):
