@@ -96,22 +96,25 @@ def cbf(system: ContactSystem, bearing: Bearing) -> str:
     bearing : the lattice or packing that is to be solved.
     """
     law, (d, count), unknowns = bearing.law, system.offset.shape, system.unknowns
-    live = (np.diff(system.operator.indptr) > 0).reshape(d, count) | (system.offset != 0)
-    of = system.of_contacts(bearing)
-    forces = (law.holding_force(of), law.viscosity(of))
-    held, viscosity = (np.zeros(count) if some is None else np.where(live.any(axis=0), some, 0.0) for some in forces)
-    cost = law.share * np.concatenate([np.zeros(unknowns), held, viscosity / 2])
+    can_change = (np.diff(system.operator.indptr) > 0).reshape(d, count) | (system.offset != 0)  # slip components
+    coefficients = system.of_contacts(bearing)
+    forces = (law.holding_force(coefficients), law.viscosity(coefficients))
+    friction, viscosity = (
+        np.zeros(count) if some is None else np.where(can_change.any(axis=0), some, 0.0) for some in forces
+    )
+    # the unknowns are u, then t and then s of each contact; the rows are the slips K u + b, then t, then s, then 1/2
+    cost = law.share * np.concatenate([np.zeros(unknowns), friction, viscosity / 2])
     rows = sparse.block_diag([system.operator, sparse.eye_array(2 * count), sparse.csr_array((count, 0))], format="csr")
     constant = np.concatenate([system.offset.ravel(), np.zeros(2 * count), np.full(count, 0.5)])
     # choose the rows of each cone: its heads, t or (s, 1/2), and then the components of the slip that can change
     order, cones = [], list[str]()
-    for force, heads, kind in ((held, [d], "Q"), (viscosity, [d + 1, d + 2], "QR")):  # rows of t; of s and of 1/2
-        acts = np.flatnonzero(force)
-        contact, tangent = np.nonzero(live[:, acts].T)
-        within = np.concatenate([np.tile(np.arange(len(acts)), len(heads)), contact])
-        part = np.concatenate([np.repeat(heads, len(acts)), tangent])
-        order.append((part * count + acts[within])[np.argsort(within, kind="stable")])
-        cones += [f"{kind} {len(heads) + size}" for size in live[:, acts].sum(axis=0)]
+    for force, heads, kind in ((friction, [d], "Q"), (viscosity, [d + 1, d + 2], "QR")):  # blocks of t; of s and of 1/2
+        contacts = np.flatnonzero(force)
+        cone_of_slip, tangent = np.nonzero(can_change[:, contacts].T)
+        cone = np.concatenate([np.tile(np.arange(len(contacts)), len(heads)), cone_of_slip])
+        block = np.concatenate([np.repeat(heads, len(contacts)), tangent])
+        order.append((block * count + contacts[cone])[np.argsort(cone, kind="stable")])
+        cones += [f"{kind} {len(heads) + size}" for size in can_change[:, contacts].sum(axis=0)]
     used = (np.arange(len(cost)) < unknowns) | (cost > 0)
     matrix, constant, cost = rows[np.concatenate(order)][:, used].tocoo(), constant[np.concatenate(order)], cost[used]
     items: dict[str, list[Any]] = {"VER": [1], "OBJSENSE": ["MIN"], "VAR": [f"{len(cost)} 1", f"F {len(cost)}"]}

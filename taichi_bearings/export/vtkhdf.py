@@ -55,16 +55,17 @@ class Geometry:
     @classmethod
     def of(cls, network: Network) -> "Geometry":
         """Return the points and lines of a network: spheres and their contacts."""
-        place, ends = network.center, network.contact.T.copy()
-        reach = network.radius[ends].sum(axis=1)
-        step = network.normal * reach[:, None]
-        far = np.linalg.norm(place[ends[:, 1]] - place[ends[:, 0]] - step, axis=1)
-        over = np.flatnonzero(far > reach / 2)
-        sphere, beyond = np.append(np.arange(len(place)), ends[over, 1]), place[ends[over, 0]] + step[over]
-        ends[over, 1] = len(place) + np.arange(len(over))
+        center, ends = network.center, network.contact.T.copy()
+        distance = network.radius[ends].sum(axis=1)
+        step = network.normal * distance[:, None]  # from the first sphere of a contact to the second
+        error = np.linalg.norm(center[ends[:, 1]] - center[ends[:, 0]] - step, axis=1)
+        crossing = np.flatnonzero(error > distance / 2)  # contacts across a periodic side: their second sphere is away
+        sphere = np.append(np.arange(len(center)), ends[crossing, 1])
+        images = center[ends[crossing, 0]] + step[crossing]
+        ends[crossing, 1] = len(center) + np.arange(len(crossing))
         places = np.zeros((len(sphere), 3))
-        places[:, : place.shape[1]] = np.concatenate([place, beyond])
-        return cls(sphere, places, ends, len(place))
+        places[:, : center.shape[1]] = np.concatenate([center, images])
+        return cls(sphere, places, ends, len(center))
 
     def on_points(self, columns: Mapping[str, Finding]) -> dict[str, Finding]:
         """Return columns of the spheres as columns of the points. A point that is an image (a sphere drawn once more on
@@ -140,7 +141,7 @@ def write_vtkhdf(
         put_attributes(root, attributes)
         _write_geometry(root, geometry)
         steps = None if moments is None or end is None else _start_steps(root, moments, end)
-        course: dict[str, np.ndarray] = {}  # (steps, rows, ...) of what changes before the end
+        course: dict[str, np.ndarray] = {}  # columns at the snapshots, (snapshots, rows, ...)
         if moments is not None:
             unknown = np.full(moments.slip.shape, np.nan)  # power and force are not kept with a snapshot
             course = {"spin": moments.spin, "slip": moments.slip, "state": moments.state, "power": unknown}

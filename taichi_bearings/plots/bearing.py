@@ -2,8 +2,8 @@
 spheres.
 
 A plane has its first axis to the right and its second one up. Widths of lines follow from how large a disc is on paper.
-A *site* is the distance between the centres of two neighbouring discs on paper, in points. Letters: N discs, E
-contacts.
+A *site* is the distance between the centres of two neighbouring discs on paper, in points. Letters: N discs on paper, E
+contacts between them.
 """
 
 from dataclasses import dataclass
@@ -44,9 +44,9 @@ class Sheet:
     rim : (N,), width of the outline of each disc, points.
     depth : (N,), position along the line of sight; discs with larger numbers are nearer to the reader.
     ends : (2, E), indices of the two discs of each contact.
-    way : (2, E, 2), vectors from the centres of the two discs to the point of contact; for a contact over a periodic
-        side both lead out of the picture.
-    wall : (E,), half the length of a line that is drawn across the contact.
+    to_contact : (2, E, 2), vectors from the centres of the two discs to the point of contact; for a contact over a
+        periodic side both lead out of the picture.
+    half_line : (E,), half the length of a line that is drawn across the contact.
     contact : (E,), number of each contact in the bearing.
     corners : (2, 2), lower left and upper right corner of the picture.
     pitch : distance between the centres of two neighbouring discs.
@@ -60,8 +60,8 @@ class Sheet:
     rim: np.ndarray
     depth: np.ndarray
     ends: np.ndarray
-    way: np.ndarray
-    wall: np.ndarray
+    to_contact: np.ndarray
+    half_line: np.ndarray
     contact: np.ndarray
     corners: np.ndarray
     pitch: float = 1.0
@@ -76,7 +76,7 @@ class Sheet:
         plane : number of the axis across the plane, and index of the plane along it; None for the whole lattice.
         view : direction from which a whole cubic lattice is seen.
         """
-        across, index = plane or (-1, 0)
+        across, index = plane or (-1, 0)  # -1: no axis is left out
         center = np.argwhere(np.ones(lattice.shape, dtype=bool))
         inside = center[:, across] == index if plane else np.ones(lattice.sites, dtype=bool)
         contact = np.flatnonzero((lattice.axis != across) & inside[lattice.ends[0]])
@@ -86,8 +86,9 @@ class Sheet:
         grid = tuple(lattice.shape[axis] for axis in kept)
         return cls(
             np.flatnonzero(inside), place, np.full(len(place), 0.47), np.zeros(len(place)), depth,
-            ends=(np.cumsum(inside) - 1)[lattice.ends[:, contact]], way=np.stack([half, -half]),
-            wall=np.full(len(contact), 0.5), contact=contact, corners=np.array([[-0.7] * 2, np.array(grid[:2]) - 0.3]),
+            ends=(np.cumsum(inside) - 1)[lattice.ends[:, contact]], to_contact=np.stack([half, -half]),
+            half_line=np.full(len(contact), 0.5), contact=contact,
+            corners=np.array([[-0.7] * 2, np.array(grid[:2]) - 0.3]),
             grid=grid if len(grid) == 2 else (),
             rows=(0, grid[-1] - 1) if across != lattice.height_axis else (),
         )  # fmt: skip
@@ -100,14 +101,14 @@ class Sheet:
         """
         radius, ends = network.radius, network.contact
         (place, depth), (normal, _) = _on_paper(network.center, view), _on_paper(network.normal, view)
-        way = radius[ends][..., None] * np.stack([normal, -normal])
+        to_contact = radius[ends][..., None] * np.stack([normal, -normal])
         rim = np.where(network.free, 0.1 if network.dimension == 2 else 0.3, 0.8)
         margin = 0.05 * float(np.median(radius))  # rims are drawn half outside
         low, high = (place - radius[:, None]).min(axis=0), (place + radius[:, None]).max(axis=0)
         corners = np.stack([low - margin, high + margin])
         return cls(
-            np.arange(len(place)), place, radius, rim, depth, ends=ends, way=way,
-            wall=0.7 * radius[ends].min(axis=0), contact=np.arange(network.contacts), corners=corners,
+            np.arange(len(place)), place, radius, rim, depth, ends=ends, to_contact=to_contact,
+            half_line=0.7 * radius[ends].min(axis=0), contact=np.arange(network.contacts), corners=corners,
             pitch=2 * float(np.median(radius)),
         )  # fmt: skip
 
@@ -134,7 +135,8 @@ class Sheet:
 
         colour : (discs N, 4), or (4,) for all.
         """
-        edge = "0.75" if not self.is_flat and colour.shape == (4,) else "black"  # pale ones only carry contacts
+        # discs of one colour are a background for contacts: where they lie behind each other their rims are grey
+        edge = "0.75" if not self.is_flat and colour.shape == (4,) else "black"
         colour = np.broadcast_to(colour, (len(self.place), 4))
         self.frame(axes)
         if self.grid and len(colour) > MOST_DISCS:
@@ -165,24 +167,25 @@ class Sheet:
         chosen : mask over all contacts of the bearing, True for those to be shown.
         across : False for lines from centre to centre, True for lines between the two discs at right angles to that.
 
-        A contact over a periodic side has half a line at either side, or a line across at both.
+        A contact over a periodic side has two lines: half of one at either side, or one across at both.
         """
         which = np.flatnonzero(chosen[self.contact])
         # contacts in the back come first, so that those in front cover them
         which = which[np.argsort(self.depth[self.ends[:, which]].mean(axis=0), kind="stable")]
-        start, middle = self.place[self.ends[:, which]], (self.place[self.ends] + self.way)[:, which]
-        # a contact whose middle is at two places on paper crosses a periodic side and gets two lines
-        over = np.linalg.norm(middle[0] - middle[1], axis=1) > self.pitch / 2
-        twice = np.append(which, which[over])
+        center, middle = self.place[self.ends[:, which]], (self.place[self.ends] + self.to_contact)[:, which]
+        # a contact whose point of contact is at two places on paper crosses a periodic side and gets a second line
+        crosses = np.linalg.norm(middle[0] - middle[1], axis=1) > self.pitch / 2
+        of_lines = np.append(which, which[crosses])
         if across:
-            way = self.way[0, twice]
-            length = np.maximum(np.linalg.norm(way, axis=1, keepdims=True), np.finfo(float).tiny)
-            side = way[:, ::-1] * [-1, 1] * (self.wall[twice, None] / length)
-            center = np.concatenate([middle[0], middle[1, over]])
-            return np.stack([center - side, center + side], axis=1), twice
-        stop = np.where(over[:, None], middle[0], start[1])
-        first = np.concatenate([start[0], middle[1, over]])
-        return np.stack([first, np.concatenate([stop, start[1, over]])], axis=1), twice
+            along = self.to_contact[0, of_lines]
+            length = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), np.finfo(float).tiny)
+            half = along[:, ::-1] * [-1, 1] * (self.half_line[of_lines, None] / length)  # turned by a right angle
+            at = np.concatenate([middle[0], middle[1, crosses]])
+            return np.stack([at - half, at + half], axis=1), of_lines
+        # from centre to centre, or from centre to point of contact and from point of contact to centre
+        start = np.concatenate([center[0], middle[1, crosses]])
+        stop = np.concatenate([np.where(crosses[:, None], middle[0], center[1]), center[1, crosses]])
+        return np.stack([start, stop], axis=1), of_lines
 
     def draw(self, axes: Axes, chosen: np.ndarray, across: bool = False, **look: Any) -> None:
         """Draw some contacts as lines.
@@ -201,8 +204,8 @@ class Sheet:
 def _on_paper(points: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray]:
     """Return places (..., 2) on paper, and depths (...) towards the reader, of points.
 
-    points : (..., 2), which stay as they are with depth 0, or (..., 3).
-    view : from where points in 3D are seen.
+    points : (..., 2), which keep their places and get depth 0, or (..., 3).
+    view : direction from which points in 3D are seen.
     """
     if points.shape[-1] == 2:
         return points.astype(float), np.zeros(points.shape[:-1])
@@ -211,9 +214,8 @@ def _on_paper(points: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray]:
 
 
 def one_panel(network: Network, page: Page) -> tuple[Figure, Any, Sheet, float, dict[str, Any]]:
-    """Return a figure with one panel for a flat lattice or a packing, and what is needed to draw on it: the figure, its
-    axes, the discs on paper, the distance between two discs in points, and arguments that place a colour bar where it
-    fits.
+    """Return a figure with one panel for a flat lattice or a packing, its axes, the discs on paper, the distance
+    between two neighbouring discs in points, and the arguments that place a colour bar where it fits.
 
     network : spheres and contacts.
     page : how the figure is printed.
@@ -221,14 +223,14 @@ def one_panel(network: Network, page: Page) -> tuple[Figure, Any, Sheet, float, 
     lattice = network.lattice
     sheet = Sheet.of_network(network, page.view or VIEW) if lattice is None else Sheet.of_lattice(lattice)
     wide, tall = np.diff(sheet.corners, axis=0)[0]
-    below = tall < LEAST_HEIGHT * wide
+    bar_is_below = tall < LEAST_HEIGHT * wide
     width = page.inches("single")
-    panel = width - BAR * (not below)
+    panel = width - BAR * (not bar_is_below)
     height = panel * float(np.clip(tall / wide, 0.2, 2.0))
-    figure = new_figure(width, height + (0.5 if below else 0.1), page.dpi)
+    figure = new_figure(width, height + (0.5 if bar_is_below else 0.1), page.dpi)
     axes = figure.add_subplot()
     sheet.frame(axes)
-    return figure, axes, sheet, sheet.site(panel, height), BELOW if below else {}
+    return figure, axes, sheet, sheet.site(panel, height), BELOW if bar_is_below else {}
 
 
 def line_on_site(site: float, share: float, least: float = 0.4, most: float = 1.5) -> float:
@@ -287,10 +289,9 @@ def name_cut(axes: Axes, axis: int, index: int, before: str = "", after: str = "
 def paint_block(axes: "Axes3D", colour: np.ndarray, view: View = VIEW) -> None:
     """Draw a cubic lattice as a block of spheres seen from outside, the driven planes in boxes.
 
-    colour : (nx, ny, nz, 4) of its spheres.
-
-    axes : where it is drawn.
-    view : from where it is seen.
+    axes : axes of matplotlib.
+    colour : (nx, ny, nz, 4), colours of all spheres.
+    view : direction from which the lattice is seen.
     """
     outside = np.zeros(colour.shape[:3], dtype=bool)
     for axis in range(3):
@@ -300,32 +301,32 @@ def paint_block(axes: "Axes3D", colour: np.ndarray, view: View = VIEW) -> None:
     limit_block(axes, colour.shape[:3], view)
     paint_spheres(axes, placed[order, :2], colour[outside][order])
     for z in (0, colour.shape[2] - 1):
-        lid = (z > 0) == view.faces(2)  # the other planes are seen from the side alone
-        edges = view.seen(box_edges(*plane_box(colour.shape[:3], z)))[are_near(view, lid)][..., :2]
+        has_open_face = (z > 0) == view.faces(2)  # of the other driven plane only the sides are seen
+        edges = view.seen(box_edges(*plane_box(colour.shape[:3], z)))[facing_edges(view, has_open_face)][..., :2]
         axes.add_collection(LineCollection(list(edges), colors="black", lw=0.6, zorder=3))
 
 
 def box_edges(low: Any, high: Any) -> np.ndarray:
-    """Return the twelve edges (12, 2, 3) of an upright box.
+    """Return the twelve edges of an upright box, (12, 2, 3): the places of their two ends.
 
-    low, high : its lowest and highest corner.
+    low, high : its lowest and highest corner, (3,) each.
     """
     corners = np.array([[(low, high)[n >> a & 1][a] for a in range(3)] for n in range(8)], dtype=float)
     return corners[[(n, n | 1 << axis) for n, axis in EDGES]]
 
 
 EDGES = [(n, axis) for n in range(8) for axis in range(3) if not n >> axis & 1]
-"""Edges of a box: first corner, as a number whose bit a is 1 at the upper end of axis a; and axis of the edge."""
+"""Edges of a box: number of the first corner, whose bit a is 1 at the upper end of axis a, and axis along the edge."""
 
 
-def are_near(view: View, lid: bool) -> np.ndarray:
-    """Return a mask (12,) of the edges EDGES of a box that bound a side which faces the reader.
+def facing_edges(view: View, with_horizontal: bool) -> np.ndarray:
+    """Return a mask (12,) of those edges of a box, in the order of EDGES, that bound a side which faces the reader.
 
-    view : from where the box is seen.
-    lid : True if the side across z that faces the reader, lid or floor, is to be seen as well.
+    view : direction from which the box is seen.
+    with_horizontal : False to leave out the side across z, upper or lower, that faces the reader.
     """
-    sides = range(3 if lid else 2)
-    return np.array([any((n >> a & 1) == view.faces(a) for a in sides if a != axis) for n, axis in EDGES])
+    axes_across = range(3 if with_horizontal else 2)
+    return np.array([any((n >> a & 1) == view.faces(a) for a in axes_across if a != axis) for n, axis in EDGES])
 
 
 def plane_box(shape: tuple[int, ...], z: int) -> tuple[np.ndarray, np.ndarray]:
@@ -373,7 +374,7 @@ def paint_spheres(axes: "Axes3D", centre: np.ndarray, colour: np.ndarray, radius
     radius : radius of all spheres.
     """
     (x0, x1), (y0, y1) = axes.get_xlim(), axes.get_ylim()
-    # a picture of 1000 pixels along the longer side, with room for spheres at the edge
+    # a picture of 1000 pixels along the longer side, and a margin for spheres at the edge
     pixel = max(x1 - x0, y1 - y0) / 1000
     light = lit_sphere(max(5, round(2 * radius / pixel)))
     size = len(light)
@@ -392,8 +393,8 @@ def paint_spheres(axes: "Axes3D", centre: np.ndarray, colour: np.ndarray, radius
 
 
 def lit_sphere(pixels: int = 96) -> np.ndarray:
-    """Return the picture of a unit sphere seen from the front: diffuse light, gloss and opacity of each pixel, (pixels,
-    pixels, 3).
+    """Return the picture of a unit sphere seen from the front, (pixels, pixels, 3): diffuse light, gloss and opacity of
+    each pixel.
     """
     x, y = np.meshgrid(*2 * (np.linspace(-1.0, 1.0, pixels),))
     # height z of the surface of the sphere at each pixel, 0 outside

@@ -29,33 +29,33 @@ def draw_coefficients(structure: Structure, page: Page) -> Figure:
     out. Where a flat lattice has more contacts than lines can show, each disc has the colour of the mean coefficient of
     its contacts.
     """
-    system, place = structure.scene, structure.network.whole
+    system, network = structure.scene, structure.network.whole
     planes: list[tuple[int, int] | None] = [None]
-    if place.lattice is not None and place.dimension == 3:
-        planes = list(page.planes or middle_planes(place.lattice.shape))
-    sheets = [_sheet(place, plane, page) for plane in planes]
+    if network.lattice is not None and network.dimension == 3:
+        planes = list(page.planes or middle_planes(network.lattice.shape))
+    sheets = [_sheet(network, plane, page) for plane in planes]
     wide, tall = np.diff(sheets[0].corners, axis=0)[0]
     quantities, height = system.law.quantities, 0.95 * float(np.clip(tall / wide, 0.2, 2.0))
     figure, axes, width = _panels(page, len(sheets), len(quantities), height)
     words = []
-    for quantity, values, own in zip(quantities, system.named_coefficients.values(), axes, strict=True):
+    for quantity, values, column in zip(quantities, system.named_coefficients.values(), axes, strict=True):
         present = values[0][values[0] > 0]
         norm = _scale(present)
         label = _label(quantity)
-        for one, sheet, plane in zip(own, sheets, planes, strict=True):
+        for one, sheet, plane in zip(column, sheets, planes, strict=True):
             if _draw_picture(one, sheet, values[0], norm, sheet.site(0.9 * width)):
                 label = f"mean over the contacts of a disc:\n{label}"
             if plane is not None:
                 bearing.name_cut(one, *plane)
-        bearing.colour_bar(figure, own, label, norm, COLOURS, **BELOW)
+        bearing.colour_bar(figure, column, label, norm, COLOURS, **BELOW)
         words.append(_in_words(quantity, present))
     put_title(figure, f"{describe(system)}\n{'; '.join(words)}", page)
     return figure
 
 
 def _panels(page: Page, sheets: int, coefficients: int, height: float) -> tuple[Figure, list[list[Axes]], float]:
-    """Return a figure of panels, the axes of its panels, and the width of a panel in inches. The axes are a list with
-    an entry for each coefficient: the list of the axes of its pictures.
+    """Return a figure of panels, the axes of its panels (for each coefficient the list of those of its pictures), and
+    the width of a panel in inches.
 
     page : how the figure is printed.
     sheets : number of pictures that show one coefficient.
@@ -71,16 +71,16 @@ def _panels(page: Page, sheets: int, coefficients: int, height: float) -> tuple[
     return figure, [list(column) for column in grid.T], width
 
 
-def _sheet(place: Network, plane: tuple[int, int] | None, page: Page) -> Sheet:
-    """Return how discs and contacts lie on paper.
+def _sheet(network: Network, plane: tuple[int, int] | None, page: Page) -> Sheet:
+    """Return the picture of discs and contacts on paper.
 
-    place : spheres and contacts.
+    network : spheres and contacts.
     plane : (axis, index) of a cut through a cubic lattice; None for anything else.
     page : how the figure is printed; it may say from where a packing is seen.
     """
-    if place.lattice is None:
-        return Sheet.of_network(place, page.view or VIEW)
-    return Sheet.of_lattice(place.lattice, plane)
+    if network.lattice is None:
+        return Sheet.of_network(network, page.view or VIEW)
+    return Sheet.of_lattice(network.lattice, plane)
 
 
 def _scale(values: np.ndarray) -> Normalize:
@@ -96,19 +96,22 @@ def _scale(values: np.ndarray) -> Normalize:
 
 
 def _draw_picture(axes: Axes, sheet: Sheet, values: np.ndarray, norm: Normalize, site: float) -> bool:
-    """Draw the contacts of one picture as lines: across the contact, or between centres where spheres lie behind each
-    other. Return True if there are too many for lines, so that each disc has the mean of its contacts instead.
+    """Draw the coefficients of the contacts of one picture, and return True if discs show them, False if lines do.
 
     axes : axes of matplotlib.
     sheet : discs and contacts as they lie on paper.
     values : (contacts E,) coefficients of all contacts of the bearing, 0 where absent.
     norm : scale of the colours.
-    site : distance of two discs in points.
+    site : distance of two neighbouring discs in points.
+
+    Each contact is a line across it, or between centres where spheres lie behind each other. If there are too many
+    contacts for lines, each disc has the colour of the mean of its contacts.
     """
     shown = values[sheet.contact]
     if (shown > 0).sum() > bearing.MOST_LINES and sheet.is_flat:
         ends = sheet.ends[:, shown > 0].ravel()
-        total, number = (np.bincount(ends, part, len(sheet.place)) for part in (np.tile(shown[shown > 0], 2), None))
+        total = np.bincount(ends, np.tile(shown[shown > 0], 2), len(sheet.place))
+        number = np.bincount(ends, minlength=len(sheet.place))
         mean = np.divide(total, number, out=np.zeros(len(sheet.place)), where=number > 0)
         sheet.paint(axes, np.where((number > 0)[:, None], colormaps[COLOURS](norm(mean)), bearing.PALE))
         return True

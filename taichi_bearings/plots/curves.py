@@ -24,9 +24,9 @@ ACCOUNTS = {
     "kinetic": (style.GREEN, "--"),
     "spring": (style.GREY, (0, (4, 1, 1, 1))),
 }
-MOST_DECADES = 6  # decades of an axis on each side of zero
+MOST_DECADES = 6  # most decades on each side of zero of an axis that is linear around 0 and logarithmic beyond
 MOST_TICKS = 9
-LEAST_RATIO = 30.0  # an axis is logarithmic if its last iteration, or time, is so many times its first one
+LEAST_RATIO = 30.0  # an axis is logarithmic if its last iteration, or time, is more than so many times its first one
 
 
 @style.in_our_style
@@ -39,7 +39,7 @@ def draw_history(answer: Solution, page: Page = PAGE) -> Figure:
 
     Raises InputError for a method without steps.
     """
-    courses = courses_of(answer)
+    courses = courses_of(answer)  # solutions with a history of their own
     if not courses:
         steps = counted(_steps(answer.sample(0)), "step")
         raise InputError(
@@ -58,7 +58,7 @@ def draw_history(answer: Solution, page: Page = PAGE) -> Figure:
         power, bound, started = one.history["power"], one.history["lower_bound"], x > 0
         above, *_ = top.plot(x[started], power[started] / unit, color=style.BLUE)
         below, *_ = top.plot(x[started], bound[started] / unit, "--", color=style.ORANGE)
-        gap = (np.minimum.accumulate(power) - bound) / np.where(power > 0, power, 1.0)
+        gap = (np.minimum.accumulate(power) - bound) / np.where(power > 0, power, 1.0)  # of the best power so far
         shown = started & (gap > 0).any(axis=1)
         bottom.plot(x[shown], np.where(gap > 0, gap, np.nan)[shown], color=style.GREY)
         has_gap, decades = has_gap or bool(shown.any()), max(decades, x[-1] / x[started][0])
@@ -85,8 +85,8 @@ def courses_of(solution: Solution) -> list[Solution]:
 
 
 def _steps(solution: Solution) -> int:
-    """Return the number of rows of a solution's history after the start; for several samples of a packing, each of
-    which has rows of its own, that of all together.
+    """Return the number of rows of a solution's history after the start. Samples of a packing have rows of their own,
+    which are added up.
     """
     return int((solution.history.get("iteration", np.zeros(0)) > 0).sum())
 
@@ -153,7 +153,7 @@ def _scale_of_energies(axes: Axes, energy: np.ndarray) -> None:
 
 
 POWER_SYMBOL = "P_{ij}"
-PLAIN_POWER_SYMBOL = "P\u1d62\u2c7c"  # the same without mathematics, for which matplotlib takes 40 ms more
+PLAIN_POWER_SYMBOL = "P\u1d62\u2c7c"  # P_ij in plain text: mathematics would take matplotlib 40 ms more
 MATHEMATICS = {  # symbols of the units of histograms
     "F_n R omega_T": r"F_n R\,\omega_T",
     "the mean power of a contact of the sample": r"\langle P_{ij} \rangle",
@@ -199,12 +199,13 @@ def draw_overlay(
     """Draw the share of slipping contacts per decade of their power, one curve for each histogram, with bands of one
     standard error.
 
-    histograms : what is drawn, by the value of a parameter.
+    histograms : the histograms, by the value of a parameter.
     by : name of the parameter.
     page : size and resolution of the figure.
     where : conditions by which the samples were chosen, for the title.
     """
-    rows = -(-len(histograms) // (1 if len(histograms) < 9 else 2))
+    columns = 1 if len(histograms) < 9 else 2  # of the legend
+    rows = math.ceil(len(histograms) / columns)
     width = page.inches("double") if page.width is not None or len(histograms) > 8 else 5.0
     figure = style.new_figure(width, 3.0 + 0.15 * rows, page.dpi)
     axes = figure.add_subplot()
@@ -217,7 +218,7 @@ def draw_overlay(
         axes.plot(centre, density, "o-", ms=2.5, lw=1.2, color=colour, label=label)
         low = np.maximum(density - error, 0.1 * density)  # a band that reaches zero has no end on this scale
         axes.fill_between(centre, low, density + error, color=colour, alpha=0.2, linewidth=0)
-    figure.legend(title=as_text(by), loc="outside lower center", ncols=1 if len(histograms) < 9 else 2)
+    figure.legend(title=as_text(by), loc="outside lower center", ncols=columns)
     if where:
         style.put_title(figure, "\n".join(map(as_text, where)), page)
     return figure
@@ -245,7 +246,7 @@ def _unbinned_in_words(histogram: PowerHistogram) -> str:
 
 MARKERS = "osD^vP*X"
 MOST_NAMED_TICKS = 8  # values of a logarithmic axis that are named one by one
-BESIDE = 0.5  # share of the distance between two named ticks over which the points of several curves are spread
+SPREAD_OF_CURVES = 0.5  # share of the distance between two named ticks over which points of several curves are spread
 
 
 @dataclass(frozen=True)
@@ -295,19 +296,20 @@ def draw_scan(curves: Sequence[Curve], look: Look, page: Page = PAGE) -> Figure:
     width = page.inches("single")
     entries = len(curves) if len(curves) > 1 else 0
     longest = max(len(curve.label) for curve in curves)
-    across = max(1, min(entries, int(style.LETTERS_AN_INCH * width / (longest + 6))))
-    rows = -(-entries // across) + (entries > 0)
+    columns = max(1, min(entries, int(style.LETTERS_AN_INCH * width / (longest + 6))))
+    rows = math.ceil(entries / columns) + (entries > 0)  # of the legend, with its title
     figure = style.new_figure(width, 0.68 * min(width, 5.0) + 0.15 * rows, page.dpi)
     axes = figure.add_subplot()
     for name in look.log:
         axes.set(**{f"{name}scale": "log"})
         style.label_in_plain_text(getattr(axes, f"{name}axis"))
     colours = style.shades(len(curves)) if len(curves) > 1 else [style.BLUE]
-    beside = BESIDE * (np.arange(len(curves)) / len(curves) - 0.5 + 0.5 / len(curves)) * bool(look.ticks)
+    # at named ticks the points of different curves stand side by side
+    shift = SPREAD_OF_CURVES * (np.arange(len(curves)) / len(curves) - 0.5 + 0.5 / len(curves)) * bool(look.ticks)
     for number, (curve, colour) in enumerate(zip(curves, colours, strict=True)):
         bars = np.nan_to_num([curve.y - curve.low, curve.high - curve.y])
         axes.errorbar(
-            curve.x + beside[number], curve.y, bars, color=colour, label=as_text(curve.label or "samples"),
+            curve.x + shift[number], curve.y, bars, color=colour, label=as_text(curve.label or "samples"),
             lw=0.0 if look.ticks else 0.9, elinewidth=0.8, capsize=1.5, marker=MARKERS[number % len(MARKERS)], ms=3.5,
             mfc="none" if number % 2 else colour,
         )  # fmt: skip
@@ -315,18 +317,18 @@ def draw_scan(curves: Sequence[Curve], look: Look, page: Page = PAGE) -> Figure:
     values = np.unique(np.concatenate([curve.x for curve in curves]))
     if look.ticks:
         # names are slanted where they do not fit side by side
-        long = sum(map(len, look.ticks)) + 2 * len(look.ticks) > style.LETTERS_AN_INCH * (width - 0.8)
-        slanted: dict[str, Any] = {"rotation": 30, "ha": "right", "rotation_mode": "anchor"} if long else {}
-        axes.set_xticks(range(len(look.ticks)), [as_text(tick) for tick in look.ticks], **slanted)
+        are_long = sum(map(len, look.ticks)) + 2 * len(look.ticks) > style.LETTERS_AN_INCH * (width - 0.8)
+        slant: dict[str, Any] = {"rotation": 30, "ha": "right", "rotation_mode": "anchor"} if are_long else {}
+        axes.set_xticks(range(len(look.ticks)), [as_text(tick) for tick in look.ticks], **slant)
         axes.set_xlim(-0.5, len(look.ticks) - 0.5)
     elif len(values) == 1 and "x" not in look.log:
-        axes.set_xticks(values, [style.short(values[0])])  # nothing between two sizes, where there is one
+        axes.set_xticks(values, [style.short(values[0])])  # a single tick, at the only value
     elif "x" in look.log and len(values) <= MOST_NAMED_TICKS:
         axes.set_xticks(values, [style.short(value) for value in values.tolist()])
         axes.xaxis.set_minor_locator(NullLocator())
     elif "x" not in look.log and (values == np.round(values)).all():
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))  # no tick at 2.5 spheres
     if entries:
-        figure.legend(title=as_text(look.legend) or None, loc="outside lower center", ncols=across)
+        figure.legend(title=as_text(look.legend) or None, loc="outside lower center", ncols=columns)
     style.put_title(figure, as_text(look.title), page)
     return figure

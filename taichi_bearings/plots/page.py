@@ -31,8 +31,8 @@ class View:
 
     @cached_property
     def matrix(self) -> np.ndarray:
-        """(3, 3), rotation from the axes of the lattice to those of the reader; its rows point to the right, up, and
-        towards the reader."""
+        """(3, 3), rotation from the axes of the lattice to those of the reader: its rows are the unit vectors to the
+        right, up, and towards the reader."""
         angles = np.deg2rad([self.elevation, self.azimuth])
         (sin_e, sin_a), (cos_e, cos_a) = np.sin(angles), np.cos(angles)
         return np.array([
@@ -42,13 +42,13 @@ class View:
         ])  # fmt: skip
 
     def seen(self, points: np.ndarray) -> np.ndarray:
-        """Return points (..., 3) of the lattice as the reader sees them: to the right, up, towards the reader."""
+        """Return the coordinates (..., 3) of points of the lattice to the right, up, and towards the reader."""
         placed: np.ndarray = points @ self.matrix.T
         return placed
 
     def faces(self, axis: int) -> bool:
-        """Return True if the side at the upper end of this axis faces the reader, False if the side at its lower end
-        does.
+        """Return True if the side of the lattice at the upper end of this axis faces the reader, False if the side at
+        its lower end does.
         """
         return bool(self.matrix[2, axis] > 0)
 

@@ -27,7 +27,7 @@ from taichi_bearings.plots.style import (
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene.scene import of_lattice
 
-# slipping contacts are drawn up to this share, or this number: lines at nearly all would hide the spins
+# slipping contacts are drawn if they are at most this share, or this number: more lines would hide the spins
 MOST_SLIPS, FEW_SLIPS = 0.9, 1_000
 POWER_COLOURS = "viridis_r"  # what dissipates most stands out on paper
 FAINT_SHARE = 0.02  # share of the slipping contacts whose power is below the range of the colours
@@ -43,20 +43,18 @@ def draw_spins(structure: Structure, page: Page = PAGE, title: str = "", note: s
     title : words above the figure; "" for size, law and seed.
     note : words on what black lines mean; "" for the number of slipping contacts.
 
-    The colour is |spin| over the larger imposed spin; in a packing radius * |spin| over the largest imposed one. Where
-    nearly all of many contacts slip, or spheres lie behind each other, slipping contacts are not drawn but counted in
-    the title. Rotations of whole layers of a lattice that no contact resists are left out.
+    The colour is |spin| over the larger imposed spin; in a packing it is radius * |spin| over its largest imposed
+    value. Where nearly all of many contacts slip, or spheres lie behind each other, slipping contacts are not drawn but
+    counted in the title. Rotations of whole layers of a lattice that no contact resists are left out.
     """
     slips, movable = structure.state == ContactState.SLIPPING, int((structure.state != ContactState.DRIVEN).sum())
     counted = f"{int(slips.sum()):,} of {movable:,} contacts slip"
     drawn = slips & (slips.sum() <= max(MOST_SLIPS * movable, FEW_SLIPS))
     system, place, spin = structure.scene, structure.network.whole, structure.scene.driving.shown(structure.spin)
     if place.lattice is None:
-        surface = spin.reshape(place.spheres, -1) * place.radius[:, None]
-        speed, label = (
-            np.linalg.norm(surface, axis=1) / (structure.fastest or 1.0),
-            r"$R\,|\omega|$ over the largest imposed",
-        )
+        surface_velocity = spin.reshape(place.spheres, -1) * place.radius[:, None]
+        speed = np.linalg.norm(surface_velocity, axis=1) / (structure.fastest or 1.0)
+        label = r"$R\,|\omega|$ over the largest imposed"
     else:
         imposed = of_lattice(system).imposed
         speed = bearing.speed_of(spin, *imposed)
@@ -128,15 +126,15 @@ def draw_power(structure: Structure, page: Page = PAGE) -> Figure:
         figure = _draw_cuts(place.lattice, power, page, symbol)
     else:
         figure, axes, sheet, site, look = bearing.one_panel(place, page)
-        lines = (power > 0).sum() <= bearing.MOST_LINES or not sheet.is_flat
-        if lines:
+        has_lines = (power > 0).sum() <= bearing.MOST_LINES or not sheet.is_flat
+        if has_lines:
             sheet.paint(axes, bearing.PALE if sheet.is_flat else bearing.PALE * [1, 1, 1, 0.25])
             norm = _draw_lines(axes, sheet, power, site)
         else:
-            shown = np.bincount(sheet.ends.ravel(), np.tile(power / 2, 2), len(sheet.place))
-            norm = _power_scale(shown)
-            sheet.paint(axes, np.where((shown > 0)[:, None], colormaps[POWER_COLOURS](norm(shown)), bearing.PALE))
-        label = over("P_{ij}" if lines else "P_i", symbol, "energy / time")
+            of_disc = np.bincount(sheet.ends.ravel(), np.tile(power / 2, 2), len(sheet.place))
+            norm = _power_scale(of_disc)
+            sheet.paint(axes, np.where((of_disc > 0)[:, None], colormaps[POWER_COLOURS](norm(of_disc)), bearing.PALE))
+        label = over("P_{ij}" if has_lines else "P_i", symbol, "energy / time")
         bearing.colour_bar(figure, axes, label, norm, POWER_COLOURS, extend="min", **look)
     put_title(figure, describe(system), page)
     return figure

@@ -1,8 +1,8 @@
 """Draws rigid domains and the slipless network: where they are, how they rotate, and a path from bottom to top.
 
-These are paper Figs. 3b and 3c, and its intermediate bearing states. The *turn* of a domain says how it rotates between
-the two driven planes: 0 with the bottom, 1 with the top, one number for each component that the driving needs. Colours
-of domains show it; with two components the panel of all turns is the key to the colours.
+These are paper Figs. 3b and 3c, and its intermediate bearing states. The *turn* of a domain is its spin as a fraction
+of the way from that of the bottom (0) to that of the top (1), one number for each component that the driving needs.
+Colours of domains show it; with two components the panel of all turns is the key to the colours.
 
 Letters: C spin components, E contacts, N spheres.
 """
@@ -28,7 +28,8 @@ from taichi_bearings.plots.page import AXES, BELOW, PAGE, VIEW, Page, View, colu
 from taichi_bearings.plots.style import GREEN, GREY, describe, in_our_style, label_in_plain_text, panels, put_title
 from taichi_bearings.scene.scene import of_lattice
 
-FIRST_AHEAD, SECOND_AHEAD = to_rgb("#e8b400"), to_rgb("#0d8a6f")  # first, or second, component alone as of the top
+# colours of domains whose first, or second, component alone is that of the top
+FIRST_AHEAD, SECOND_AHEAD = to_rgb("#e8b400"), to_rgb("#0d8a6f")
 LOCK_COLOURS = {"bottom": colormaps[SPIN_COLOURS](0.0), "top": colormaps[SPIN_COLOURS](1.0)}
 MARKS = dict(zip(LOCKS, "v^Dsdo", strict=True))  # marker of each kind of domain
 KEY_WIDTH = 2.2  # least width in inches of the panel of turns
@@ -51,18 +52,18 @@ def draw_domains(structure: Structure, page: Page = PAGE) -> Figure:
     domains = structure.rigid_domains
     if structure.network.whole.lattice is None:
         return _draw_domains_of_packing(structure, page)
-    of = structure.network.lattice
-    shape, colour = of.shape, colour_of_turn(domains.turn)[domains.domain]
+    lattice = structure.network.lattice
+    shape, colour = lattice.shape, colour_of_turn(domains.turn)[domains.domain]
     planes = () if len(shape) == 2 else page.planes or middle_planes(shape)
     tall = float(np.clip(shape[-1] / max(shape[:-1]), 0.8, 1.5))
     figure, (block, *cuts, values), width = panels(page, 2 + len(planes), (0.85 * tall, 0.6), least=KEY_WIDTH)
     if planes:
         bearing.paint_block(block, colour, page.view or VIEW)
     else:
-        _paint(block, Sheet.of_lattice(of), colour, structure, 0.85 * width)
+        _paint(block, Sheet.of_lattice(lattice), colour, structure, 0.85 * width)
     block.set_title("(a) rigid domains" + ("" if planes else ", their boundaries in black"))
     for letter, axes, plane in zip(DOMAIN_LETTERS, cuts, planes, strict=False):
-        _paint(axes, Sheet.of_lattice(of, plane), colour, structure, 0.85 * width)
+        _paint(axes, Sheet.of_lattice(lattice, plane), colour, structure, 0.85 * width)
         bearing.name_cut(axes, *plane, f"({letter}) ")
     _draw_values(values, domains)
     values.set_title(f"({DOMAIN_LETTERS[len(planes)]}) rotation: key to the colours")
@@ -73,24 +74,24 @@ def draw_domains(structure: Structure, page: Page = PAGE) -> Figure:
 def _draw_domains_of_packing(structure: Structure, page: Page) -> Figure:
     """Draw the rigid domains of a packing in colours.
 
-    With two driven bodies in bearing states the colour shows the spin between theirs, blue as the first and red as the
-    second. Otherwise each of the largest domains has a colour of its own.
+    With two driven bodies in bearing states the colour shows how a domain rotates: blue like the first, red like the
+    second, others in between. Otherwise each of the largest domains has a colour of its own.
 
     structure : the sample.
     page : how the figure is printed.
     """
     domains = structure.rigid_domains
     figure, axes, sheet, _, look = bearing.one_panel(structure.network.whole, page)
-    moving = np.flatnonzero(domains.jump.any(axis=0))
-    if len(moving):
-        colour = colour_of_turn(domains.turn[:, moving])
+    differing = np.flatnonzero(domains.jump.any(axis=0))  # components in which the driven bodies differ
+    if len(differing):
+        colour = colour_of_turn(domains.turn[:, differing])
     else:
-        own = colormaps["tab20"](np.minimum(np.arange(domains.number), 19))
-        colour = np.where((domains.spheres > 1)[:, None], own, bearing.PALE)
+        by_size = colormaps["tab20"](np.minimum(np.arange(domains.number), 19))
+        colour = np.where((domains.spheres > 1)[:, None], by_size, bearing.PALE)
     _paint(axes, sheet, colour[domains.domain], structure, page.inches("single"))
-    if len(moving):
+    if len(differing):
         label = "rotation, from the first driven body's to the second's"
-        label += "\nyellow, green: one component alone is nearer to the second" if len(moving) > 1 else ""
+        label += "\nyellow, green: one component alone is nearer to the second" if len(differing) > 1 else ""
         bearing.colour_bar(figure, axes, label, Normalize(0, 1), SPIN_COLOURS, **look)
     kinds = ", ".join(f"{count:,} {kind}" for kind, count in domains.domains_of_kind().items() if count)
     put_title(figure, f"{describe(structure.scene)}\n{domains.number:,} rigid domains, turning with: {kinds}", page)
@@ -98,10 +99,10 @@ def _draw_domains_of_packing(structure: Structure, page: Page) -> Figure:
 
 
 def colour_of_turn(turn: np.ndarray) -> np.ndarray:
-    """Return colours (..., 4) that show how a domain rotates between bottom, blue, and top, red.
+    """Return colours (..., 4) that show how a domain rotates between bottom, blue, and top, red. Yellow is mixed in if
+    the first component is nearer to the top than the second, green if the second is.
 
-    turn : (..., C components), spin by component as a fraction: 0 is that of the bottom, 1 that of the top. Yellow or
-        green is mixed in as the first or the second component is nearer to the top than the other.
+    turn : (..., C components), spin by component as a fraction: 0 is that of the bottom, 1 that of the top.
     """
     turn = np.clip(turn, 0.0, 1.0)
     colour: np.ndarray = colormaps[SPIN_COLOURS](turn.mean(axis=-1))
@@ -141,14 +142,15 @@ def _draw_values(axes: Axes, domains: RigidDomains) -> None:
     """
     turn, margin = domains.turn, 0.04
     along = np.linspace(-margin, 1 + margin, 200)
-    plane = turn.shape[1] > 1
-    if plane:
+    has_two = turn.shape[1] > 1
+    # ends of the vertical axis, height of each domain on it, and turns whose colours are the background
+    if has_two:
         low, high, height, key = -margin, 1 + margin, turn[:, 1], np.stack(np.meshgrid(along, along), axis=-1)
     else:
         low, high, height, key = 0.7, 1.5 * domains.spheres.max(), domains.spheres, along[None, :, None]
         axes.set_yscale("log")
     axes.imshow(colour_of_turn(key), extent=(-margin, 1 + margin, low, high), origin="lower", aspect="auto")
-    sphere = 4.0 if domains.number < 2000 else 0.5  # area of one, points squared
+    sphere = 4.0 if domains.number < 2000 else 0.5  # area of a marker for each sphere of the domain, points squared
     spheres = domains.spheres_of_kind(np.ones(domains.domain.shape, dtype=bool))
     for kind, name in reversed(list(enumerate(LOCKS))):
         chosen = domains.kind == kind
@@ -163,14 +165,14 @@ def _draw_values(axes: Axes, domains: RigidDomains) -> None:
             draw(s=sphere * domains.spheres[chosen], color="black", lw=0, alpha=alpha, rasterized=many)
     names = [AXES[component] for component in domains.spin_axes]
     labels = [rf"$(\Omega_{n} - \Omega_{{B{n}}})\,/\,(\Omega_{{T{n}}} - \Omega_{{B{n}}})$" for n in names]
-    axes.set(xlabel=labels[0], ylabel=labels[1] if plane else "spheres of the domain")
+    axes.set(xlabel=labels[0], ylabel=labels[1] if has_two else "spheres of the domain")
     axes.set(xlim=(-margin, 1 + margin), ylim=(low, high), box_aspect=1)
-    if not plane:
+    if not has_two:
         label_in_plain_text(axes.yaxis)
     look: dict[str, Any] = {"ncols": 4, "title": "domains that turn with", "loc": "outside lower center"}
     legend = axes.figure.legend(*axes.get_legend_handles_labels(), **look)
     handles: list[Any] = legend.legend_handles
-    for handle in handles:  # of one size, however small the domains are
+    for handle in handles:  # markers in the legend have one size, however small the domains are
         handle.set_sizes([40.0])
         handle.set_alpha(1.0)
 
@@ -185,21 +187,19 @@ def draw_network(structure: Structure, page: Page = PAGE) -> Figure:
     In 3D there are three panels: the spheres from outside; slipless contacts in grey and the path in green; the spheres
     of the path with their spins. In 2D there are the last two. Of a packing its slipless contacts are drawn.
 
-    Where there are too many contacts to see each, only those on the sides behind the path are drawn: nothing hides it
-    then. Where no path joins bottom and top the figure says so, and contacts joined to the bottom are blue,
-    those joined to the top red.
+    Where there are too many contacts to see each, only those on the sides of the lattice behind the path are drawn, so
+    that nothing hides it. Where no path joins bottom and top, the figure says so; then contacts joined to the bottom
+    are blue, and those joined to the top red.
     """
     network, spin = structure.network, structure.scene.driving.shown(structure.spin)
     if structure.whole.lattice is None:
         return _draw_network_of_packing(structure, page)
     (spin_top, spin_bottom), path = of_lattice(structure.scene).imposed, network.shortest_path
     speed = bearing.speed_of(spin, spin_top, spin_bottom)
-    flat, some = spin.ndim == 2, len(network.ends.T) > 0
-    drawn = ["spheres"] * (not flat) + ["contacts"] * (flat or some) + ["path"] * (len(path) > 0)
-    view = page.view or VIEW
-    figure, each, width = panels(
-        page, len(drawn), (0.9, 0.3), 0.4 if (below := columns_on(page, len(drawn)) == 1) else 0.0, widest="single"
-    )
+    is_flat, has_contacts = spin.ndim == 2, network.ends.shape[1] > 0
+    drawn = ["spheres"] * (not is_flat) + ["contacts"] * (is_flat or has_contacts) + ["path"] * (len(path) > 0)
+    view, bar_is_below = page.view or VIEW, columns_on(page, len(drawn)) == 1
+    figure, each, width = panels(page, len(drawn), (0.9, 0.3), 0.4 if bar_is_below else 0.0, widest="single")
     words = f"{network.ends.shape[1]:,} slipless contacts, {f'a path of {len(path) - 1}' if len(path) else NO_PATH}"
     for letter, panel, axes in zip("abc", drawn, each, strict=False):
         axes.set_title(f"({letter}) {PANELS[panel]}" if len(drawn) > 1 else "")
@@ -209,9 +209,9 @@ def draw_network(structure: Structure, page: Page = PAGE) -> Figure:
             words += _draw_contacts(axes, network, view, 0.85 * width)
         else:
             _draw_turning(axes, network, spin / (max(abs(spin_top), abs(spin_bottom)) or 1.0), speed, view)
-    if not flat or len(path):
-        bearing.draw_speed_bar(figure, each, structure.scene, **({"shrink": 0.6} | (BELOW if below else {})))
-    if some and not network.spans:
+    if not is_flat or len(path):
+        bearing.draw_speed_bar(figure, each, structure.scene, **({"shrink": 0.6} | (BELOW if bar_is_below else {})))
+    if has_contacts and not network.spans:
         colours: dict[str, Any] = {**REACHED_COLOURS, "neither": to_rgba(GREY)}
         drawn_in = {tuple(colour) for colour in contact_colours(network)}
         marks = [Line2D([], [], color=c, label=end) for end, c in colours.items() if tuple(c) in drawn_in]
@@ -250,17 +250,17 @@ def contact_colours(network: SliplessNetwork) -> np.ndarray:
     return colour
 
 
-def behind(lattice: Lattice, view: View) -> np.ndarray:
-    """Return a mask (contacts E,) of the contacts that lie within those sides of a cubic lattice that are farthest from
-    the reader.
+def on_rear_sides(lattice: Lattice, view: View) -> np.ndarray:
+    """Return a mask (contacts E,) of the contacts that lie within one of the three sides of a cubic lattice that do not
+    face the reader.
 
     lattice : the lattice.
-    view : from where it is seen.
+    view : direction from which the lattice is seen.
     """
-    far = np.array([0 if view.faces(axis) else n - 1 for axis, n in enumerate(lattice.shape)])
-    on_side = np.argwhere(np.ones(lattice.shape, dtype=bool)) == far
-    inside: np.ndarray = on_side[lattice.ends].all(axis=0).any(axis=1)
-    return inside
+    rear = np.array([0 if view.faces(axis) else n - 1 for axis, n in enumerate(lattice.shape)])
+    is_on_side = np.argwhere(np.ones(lattice.shape, dtype=bool)) == rear  # (spheres, 3)
+    are_both: np.ndarray = is_on_side[lattice.ends].all(axis=0).any(axis=1)
+    return are_both
 
 
 def _draw_contacts(axes: Axes, network: SliplessNetwork, view: View, width: float) -> str:
@@ -284,9 +284,10 @@ def _draw_contacts(axes: Axes, network: SliplessNetwork, view: View, width: floa
         bearing.frame_block(axes, lattice.shape, view)
         line = bearing.line_on_site(72 * width / max(lattice.shape) / 1.6, 0.12, 0.3, 1.0)
         depth = sheet.depth[sheet.ends].mean(axis=0)
-        colour[chosen, 3] = 0.2 + 0.6 * np.argsort(np.argsort(depth[chosen])) / max(chosen.sum() - 1, 1)
+        rank = np.argsort(np.argsort(depth[chosen]))
+        colour[chosen, 3] = 0.2 + 0.6 * rank / max(chosen.sum() - 1, 1)  # contacts in front are more opaque
         if chosen.sum() > bearing.MOST_LINES:
-            chosen, words = chosen & behind(lattice, view), "; drawn: the sides behind"
+            chosen, words = chosen & on_rear_sides(lattice, view), "; drawn: the sides behind"
             colour[:, 3] = 0.7
     if not chosen.any():
         axes.text(0.5, 0.5, "no contact is slipless", transform=axes.transAxes, ha="center", va="center")
@@ -325,9 +326,10 @@ def _draw_turning(axes: Axes, network: SliplessNetwork, spin: np.ndarray, speed:
             axes.text(x, y, turn, ha="center", va="center", fontsize=max(3.0, 60 / max(shape)))
         return
     bearing.frame_block(axes, shape, view)
-    sideways, which = sheet.lines(network.on_path & (lattice.axis < 2))
-    down = np.unravel_index(lattice.ends[0, which], shape)[2] + 0.5
-    shadow = sideways - (down[:, None] * view.seen(np.eye(3)[2])[:2])[:, None]
+    # the shadow: horizontal contacts of the path, moved down to the floor
+    horizontal, which = sheet.lines(network.on_path & (lattice.axis < 2))
+    height = np.unravel_index(lattice.ends[0, which], shape)[2] + 0.5
+    shadow = horizontal - (height[:, None] * view.seen(np.eye(3)[2])[:2])[:, None]
     axes.add_collection(LineCollection(list(shadow), colors=GREEN, alpha=0.4, lw=1.0, zorder=1))
     placed = view.seen(path)
     order = np.argsort(placed[:, 2])

@@ -39,7 +39,7 @@ RC: dict[Any, Any] = {
     **{"pdf.fonttype": 42, "ps.fonttype": 42, "svg.fonttype": "none"},
 }
 BLUE, ORANGE, GREEN, GREY = "#2060a8", "#d0702a", "#3a8f4c", "#8a8a8a"
-TALLER = 1.5  # height of a panel over several columns, relative to the others
+TALLER = 1.5  # height of a panel that spans several columns, relative to the others
 SCREEN_DPI = 100  # dots an inch of the figures in notebooks
 LETTERS_AN_INCH, TITLE_LINE = 16, 0.14  # letters of a title in an inch, and height of its lines in inches
 IN_DOLLARS = re.compile(r"(?<!\\)\$.*?(?<!\\)\$")  # mathematics within a text
@@ -95,7 +95,8 @@ def new_figure(width: float = SINGLE, height: float = 2.5, dpi: float = PAGE.dpi
 def panels(
     page: Page, number: int, row: tuple[float, float], more: float = 0.0, least: float = BROAD, widest: str = "double"
 ) -> tuple[Figure, list[Any], float]:
-    """Return a figure of panels in rows, their axes, and the width of each panel in inches.
+    """Return a figure of panels in rows, their axes, and the width of each panel in inches. The first panel spans the
+    columns that would stay empty.
 
     page : how the figure is printed.
     number : number of panels.
@@ -103,17 +104,16 @@ def panels(
     more : inches to add to the height of the figure.
     least : width that a panel needs, inches.
     widest : column of the page, "single" or "double", that no panel exceeds in width.
-
-    The first panel takes the columns that would stay empty.
     """
     columns = columns_on(page, number, least)
-    wide = 1 - number % -columns
+    rows = math.ceil(number / columns)
+    spanned = 1 + columns * rows - number  # columns of the first panel
     width = min(page.inches("double") / columns, page.inches(widest))
-    heights = [TALLER if wide > 1 else 1.0, *[1.0] * (-(-number // columns) - 1)]
-    figure = new_figure(columns * width, sum(heights) * row[0] * width + len(heights) * row[1] + more, page.dpi)
-    cells = figure.add_gridspec(len(heights), columns, height_ratios=heights)
-    others = [cells[divmod(place, columns)] for place in range(wide, columns * len(heights))]
-    return figure, [figure.add_subplot(place) for place in (cells[0, :wide], *others)], width
+    heights = [TALLER if spanned > 1 else 1.0, *[1.0] * (rows - 1)]
+    figure = new_figure(columns * width, sum(heights) * row[0] * width + rows * row[1] + more, page.dpi)
+    cells = figure.add_gridspec(rows, columns, height_ratios=heights)
+    others = [cells[divmod(place, columns)] for place in range(spanned, columns * rows)]
+    return figure, [figure.add_subplot(place) for place in (cells[0, :spanned], *others)], width
 
 
 def plain_figure(width: float = SINGLE, height: float = 2.5, dpi: float = PAGE.dpi) -> Figure:
@@ -128,7 +128,7 @@ def plain_figure(width: float = SINGLE, height: float = 2.5, dpi: float = PAGE.d
 
 
 def put_title(figure: Figure, words: str, page: Page = PAGE) -> None:
-    """Put a title above a figure, which grows by its lines; nothing if the page has no titles.
+    """Put a title above a figure, which becomes taller by its lines. Do nothing if the page has no titles.
 
     figure : figure of matplotlib, changed in place.
     words : the title. Long lines are broken, but never inside mathematics or before a per cent sign.
@@ -136,6 +136,7 @@ def put_title(figure: Figure, words: str, page: Page = PAGE) -> None:
     """
     if not page.title:
         return
+    # spaces at which no line may break are replaced until the lines are broken
     joined = IN_DOLLARS.sub(lambda found: found[0].replace(" ", "\0"), words.replace(" %", "\u00a0%"))
     width, height = figure.get_size_inches()
     lines = [line for part in joined.split("\n") for line in textwrap.wrap(part, int(LETTERS_AN_INCH * width))]
@@ -150,9 +151,10 @@ SUPERSCRIPTS = str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u207
 
 
 class PlainLogFormatter(LogFormatter):
-    """Formats labels of a logarithmic axis in plain text, which is drawn ten times faster than mathematics: powers of
-    ten as such; numbers in full if the axis has no more than two powers, so that others are labelled too. Beside each
-    other, along a horizontal axis of more than a decade, there is room for one number between two powers.
+    """Formats labels of a logarithmic axis in plain text, which is drawn ten times faster than mathematics.
+
+    Powers of ten are written as such, or in full if the axis has no more than two of them: then numbers between them
+    are labelled, too, but on a horizontal axis of more than a decade only the one that begins with 3.
     """
 
     def __call__(self, value: float, position: int | None = None) -> str:
@@ -163,12 +165,8 @@ class PlainLogFormatter(LogFormatter):
         assert self.axis is not None  # which matplotlib sets before it asks for labels
         low, high = sorted(math.log10(end) for end in self.axis.get_view_interval())
         is_decade = abs(exponent - round(exponent)) < 1e-6
-        if (
-            not is_decade
-            and getattr(self.axis, "axis_name", "") == "x"
-            and high - low > 1
-            and round(10 ** (exponent % 1)) != 3
-        ):
+        is_crowded = getattr(self.axis, "axis_name", "") == "x" and high - low > 1
+        if is_crowded and not is_decade and round(10 ** (exponent % 1)) != 3:
             return ""
         in_full = math.floor(high) - math.ceil(low) < 2 or not is_decade
         return short(value) if in_full else f"10{str(round(exponent)).translate(SUPERSCRIPTS)}"
@@ -197,11 +195,12 @@ def label_in_plain_text(*axes: Axis) -> None:
 
 
 def fix_minor_ticks(axes: Any) -> None:
-    """Draw the minor ticks of each axis where they stand now, as one line of markers: matplotlib makes five objects of
-    each tick, which takes half of the time in which a small figure is drawn. An axis whose minor ticks have labels
-    stays as it is.
+    """Replace the minor ticks of each axis by one line of markers at their places. An axis whose minor ticks have
+    labels stays as it is.
 
     axes : axes of matplotlib, with their final limits.
+
+    matplotlib makes five objects of each tick, which takes half of the time in which a small figure is drawn.
     """
     for axis, name, marker in ((axes.xaxis, "xtick", TICKDOWN), (axes.yaxis, "ytick", TICKLEFT)):
         low, high = axis.get_view_interval()
@@ -299,8 +298,8 @@ def mathematics(value: float, digits: int = 6) -> str:
 
 
 def _symbol(scene: Bearing, of_top: bool) -> str:
-    """Return the symbol of the imposed spin of a plane of a lattice, for labels; that of the largest one if the spins
-    of the plane grow with the position.
+    """Return the symbol of the imposed spin of a driven plane of a lattice, for labels; if the spins of the plane grow
+    with the position, it is that of the largest one.
 
     scene : what was solved.
     of_top : True for the top, False for the bottom.
@@ -320,8 +319,7 @@ def larger_spin(scene: Bearing) -> str:
 
 
 def driving(scene: Bearing) -> tuple[float, str]:
-    """Return the imposed spin of a scene that serves as unit of times and powers, 1/time, and its symbol; for packings
-    1 and "".
+    """Return the unit of rates in figures of a scene, an imposed spin, 1/time, and its symbol; 1 and "" for packings.
 
     scene : what was solved.
     """
@@ -330,8 +328,8 @@ def driving(scene: Bearing) -> tuple[float, str]:
 
 
 def power_unit(scene: Bearing) -> tuple[float, str]:
-    """Return the unit of power F_n R |spin| of a scene, energy/time, and its symbol; 1 and "" for packings and laws
-    without friction.
+    """Return the unit of power in figures of a scene, F_n R |imposed spin|, energy/time, and its symbol; 1 and "" for
+    packings and laws without friction.
 
     scene : what was solved.
     """
@@ -349,7 +347,8 @@ def time_label(symbol: str) -> str:
 
 
 def energy_unit(scene: Bearing) -> tuple[float, str]:
-    """Return the unit of energy F_n R of a scene and its symbol; 1 and "" for packings and laws without friction.
+    """Return the unit of energy in figures of a scene, F_n R, and its symbol; 1 and "" for packings and laws without
+    friction.
 
     scene : what was solved.
     """

@@ -141,13 +141,13 @@ def _source_of_run(run: Result) -> Source:
     assert run.path is not None
     settings, path, given = run.asked, file_of(run.path), list[tuple[np.ndarray, ...]]()
     attributes, power, state = run.attributes, run.solution.power_per_contact, run.solution.state
-    is_packing = run.scene.network.lattice is None
+    has_lists = run.scene.network.lattice is None
     # arrays that identify the disorder of each replica, where its coefficients were not drawn from a seed
-    if is_packing or attributes.get("coefficients"):
-        ends = (run.scene.network.contact,) if is_packing else ()
+    if has_lists or attributes.get("coefficients"):
+        ends = (run.scene.network.contact,) if has_lists else ()
         given = [(*ends, *values) for values in zip(*run.solution.scene.material, strict=True)]
     replicas = len(state)
-    known = {*attributes, *RunSettings.keys()} - {"scene", "command"} - ({"shape"} if is_packing else set())
+    known = {*attributes, *RunSettings.keys()} - {"scene", "command"} - ({"shape"} if has_lists else set())
 
     def column(name: str) -> np.ndarray:
         """Return the attribute or setting `name` of each replica, (replicas,)."""

@@ -18,9 +18,9 @@ MOST_BYTES = 64e6  # if the snapshots of a page took more, only some of them are
 BOTTLENECKS = 200  # number of busiest contacts that are shown as such
 CUT, PATH = 1, 2  # bits of the array `flags`: the contact is on the cut, on the path
 COLOUR_RANGE = (0.12, 0.95)  # part of a colour map that can be seen on white
-SLICES = 40  # steps of a slider along each axis of a packing
-AROUND = 6  # neighbours that enclose a sphere of a cubic lattice
-ALONE = ["an island", "touches no slipless contact"]
+SLICES = 40  # steps of the slider that cuts a packing, along each axis
+AROUND = 6  # neighbours that enclose a sphere of a cubic lattice: such spheres cannot be seen
+ALONE = ["an island", "touches no slipless contact"]  # names of pieces of the slipless network that no body touches
 KEPT = {"slip": "f4", "power": "f4", "force": "f4", "coefficient": "f4", "viscosity": "f4", "normal_force": "f4"}
 KEPT |= {"betweenness": "f4", "state": "u1"}
 """Columns of the contacts that a page holds where a run has them, and the type of their numbers."""
@@ -67,17 +67,17 @@ def arrays_of(drawn: PointsAndLines) -> dict[str, np.ndarray]:
         found |= {"kind": spheres["domain_kind"], "turn": np.round(255 * turn).astype(np.uint8)}
     if (moments := drawn.moments) is not None:
         chosen = _shown_snapshots(moments)
-        ways = {"snapshot_spin": _shown_spins(drawn, moments.spin), "snapshot_slip": moments.slip}
-        found |= {name: values[chosen].astype(np.float32) for name, values in ways.items()}
+        snapshots = {"snapshot_spin": _shown_spins(drawn, moments.spin), "snapshot_slip": moments.slip}
+        found |= {name: values[chosen].astype(np.float32) for name, values in snapshots.items()}
     return found
 
 
 def _shown_spins(drawn: PointsAndLines, spins: np.ndarray) -> np.ndarray:
-    """Return spins as the page shows them: for a lattice of spheres without rotations of whole layers about the height,
-    which no contact resists; else unchanged.
+    """Return spins as the page shows them, in the shape of `spins`: for a lattice of spheres without rotations of whole
+    layers about the height, which no contact resists; else unchanged.
 
     drawn : the sample that is shown.
-    spins : (snapshots S, spheres N, 3), 1/time; the result has the same shape.
+    spins : (snapshots S, spheres N, 3), 1/time.
     """
     if drawn.network.dimension == 2:
         return spins
@@ -95,13 +95,13 @@ def _colour_map(name: str, first: float, last: float) -> np.ndarray:
 
 
 def _shown_snapshots(moments: Moments) -> np.ndarray:
-    """Return the numbers (n,) of the n snapshots that the page shows: all, or as many at even distances as fit into
-    MOST_BYTES.
+    """Return the numbers (n,) of the n snapshots that the page shows: all, or as many as fit into MOST_BYTES, evenly
+    chosen.
 
     moments : the snapshots of a dynamics: times, with the spins and slips at each.
     """
-    each = 4 * (moments.spin[0].size + moments.slip[0].size)
-    most = max(2, int(MOST_BYTES / each))
+    bytes_each = 4 * (moments.spin[0].size + moments.slip[0].size)  # float32
+    most = max(2, int(MOST_BYTES / bytes_each))
     return np.unique(np.linspace(0, len(moments.time) - 1, min(most, len(moments.time))).round().astype(int))
 
 
@@ -178,7 +178,7 @@ def _of_packing(drawn: PointsAndLines) -> tuple[Json, float, str, str]:
     own = {
         "title": f"{network.spheres:,} {what}, {drawn.structure.movable:,} contacts, {law}",
         "shape": None,
-        "origin": network.center[0].tolist(),  # float32 has the digits of what lies around the first
+        "origin": network.center[0].tolist(),  # float32 resolves distances from the first sphere, not large coordinates
         "steps": [SLICES] * network.dimension,
         "enclosing": 0,
         "joined": "driven bodies",
@@ -211,9 +211,10 @@ def _median(radius: np.ndarray) -> float:
 def _ends_of_scales(drawn: PointsAndLines, fastest: float) -> Json:
     """Return the ends of the colour scales, by name.
 
-    `spin_max` is the end of the scale of spins, 1/time. `beyond` is True if a drawn spin exceeds it. `bottleneck_share`
-    and `busiest_share` are betweennesses of contacts (shares of the shortest paths from bottom to top): the least of
-    the BOTTLENECKS largest ones, and the largest; 0 where none is known.
+    spin_max : end of the scale of spins, 1/time.
+    beyond : True if a drawn spin exceeds it.
+    bottleneck_share, busiest_share : betweennesses of contacts (shares of the shortest paths from bottom to top): the
+        least of the BOTTLENECKS largest ones, and the largest; 0 where none is known.
 
     drawn : the spheres and contacts that are shown.
     fastest : the largest imposed spin, of a sphere of median size, 1/time.

@@ -71,7 +71,8 @@ def page_of(facts: Mapping[str, object], arrays: Mapping[str, np.ndarray]) -> st
         "FACTS": words,
         "ARRAYS": _compressed_text(packed),
     }
-    return re.sub("@@([A-Z]+)@@", lambda found: parts[found[1]], _text("index.html"))  # once: texts may look like that
+    # all parts are put in at once: their texts may hold what looks like the name of another part
+    return re.sub("@@([A-Z]+)@@", lambda found: parts[found[1]], _text("index.html"))
 
 
 def _text(name: str) -> str:
@@ -83,16 +84,13 @@ def _text(name: str) -> str:
 
 
 def _compressed_text(content: bytes) -> str:
-    """Return a text, in base64, that stands for bytes packed by gzip.
-
-    content : the bytes.
-    """
+    """Return bytes compressed by gzip and written as base64 text."""
     return base64.b64encode(gzip.compress(content, mtime=0)).decode()
 
 
 def _joined_bytes(arrays: Mapping[str, np.ndarray]) -> tuple[bytes, list[Json]]:
-    """Return all arrays as bytes, one after the other, little-endian and longer numbers first; and where each lies, a
-    list with name, type, offset in bytes and length.
+    """Return the bytes of all arrays in one piece, little-endian, and a list with name, type, offset in bytes and
+    length of each array. Longer numbers come first, so that every array begins at a multiple of its number's size.
     """
     joined, places = b"", []
     for name, values in sorted(arrays.items(), key=lambda item: -item[1].dtype.itemsize):
