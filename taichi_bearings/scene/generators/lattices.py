@@ -79,7 +79,7 @@ def built(
     parts = [_of_bond(grid, cells, closed, len(basis), *bond) for bond in _bonds(cell)]
     contact = np.concatenate([pairs for pairs, _ in parts])
     normal = np.concatenate([np.broadcast_to(vector, (len(pairs), dimension)) for pairs, vector in parts])
-    # Signs of the sublattices: parity within the cell, exchanged from cell to cell where the lattice says so.
+    # signs of the sublattices: parity within the cell, exchanged from cell to cell along axes with parity 1
     sign = np.ones(len(place))
     if cell.parity is not None:
         sign = np.where((np.array(cell.parity[0]) + (grid @ np.array(cell.parity[1]))[:, None]).ravel() % 2, -1.0, 1.0)
@@ -107,7 +107,7 @@ def driven_bodies(place: np.ndarray, closed: set[int], driven: str) -> np.ndarra
         if axis not in closed:
             body[_at_end(place, axis, 1)], body[_at_end(place, axis, -1)] = 1, 0
         return body
-    # A shaft: its walls are the ends along x and y, the shaft itself is found by distance from the middle.
+    # a shaft: walls are at the ends of x and y, and the shaft is what is near the middle
     try:
         radius = float(size) if kind == "shaft" else np.nan
     except ValueError:
@@ -145,8 +145,8 @@ def _at_end(place: np.ndarray, axis: int, side: int) -> np.ndarray:
 
 def _bonds(cell: Cell) -> Iterator[tuple[int, int, np.ndarray, np.ndarray]]:
     """Yield the bonds of a cell, each once. A bond joins two spheres whose centres are one diameter apart; the second
-    may be in a neighbouring cell. Of a bond and its reverse only the one is taken whose vector has a positive last
-    component (of those that are not 0).
+    may be in a neighbouring cell. Each bond is taken in the direction in which the last component of its vector that is
+    not 0 is positive.
 
     yields : numbers within their cells of the first and of the second sphere; step (dimensions D,) in whole cells to
         the cell of the second; unit vector (D,) from the first to the second.

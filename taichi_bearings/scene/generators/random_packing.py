@@ -25,18 +25,17 @@ MOST_DEPOSITED = 200_000
 FILLED = {2: 0.78, 3: 0.57}  # fraction of the box that spheres fill; with it a box is made about as wide as high
 NARROWEST = 4.0  # least width in diameters of large spheres, so that two spheres do not touch around both sides
 FLOOR_TRIES = 60  # places tried for each sphere that the floor could hold
-FLATTEST = (
-    1e-3  # square of the height of a pocket above those that form it, over that of a radius: rounding stays small
-)
+# least squared distance of a pocket from the line or plane of the spheres that it touches: rounding stays small
+FLATTEST = 1e-3
 CLAIMED_OVERLAP = 1e-12  # overlap that may be rounding, relative to the sum of the radii
-# How spheres nearby are found, on which no result depends: cells longer by this factor than a sphere reaches; share of
-# a squared distance that covers any rounding.
+# how spheres nearby are found, on which no result depends: length of a cell over the largest diameter; part of a
+# squared distance that exceeds its rounding
 CELL_SPARE, ROUGHLY = 1.01, 1e-9
 MOST_COMPARED = 200  # with no more spheres, all are compared with a place by arrays
 
 Pocket = tuple[float, int, np.ndarray, tuple[int, ...], int]
-"""A pocket: its height, its number, its place (D,), the numbers of the spheres that form it, and how many spheres stood
-when it was found."""
+"""A pocket: its height, its number, its place (D,), the numbers of the spheres that it touches, and how many spheres
+were placed when it was found."""
 
 
 class _Heap:
@@ -104,7 +103,7 @@ class _Heap:
         *own, height = map(floor, (place / self.across).tolist())
         return *(at % cells for at, cells in zip(own, self.cells, strict=True)), height
 
-    def away(self, place: np.ndarray, others: slice | np.ndarray) -> np.ndarray:
+    def vectors_from(self, place: np.ndarray, others: slice | np.ndarray) -> np.ndarray:
         """Return vectors (n, dimensions D) from a place (D,) to the nearest images of n spheres.
 
         place : coordinates, in radii of the small spheres.
@@ -129,7 +128,7 @@ class _Heap:
             others = self.near(place, 1)
             others = others[others >= since]
         reach = (self.radius[others] + size) * (1 - CLAIMED_OVERLAP)
-        return bool(((self.away(place, others) ** 2).sum(axis=1) >= reach**2).all())
+        return bool(((self.vectors_from(place, others) ** 2).sum(axis=1) >= reach**2).all())
 
     def _clearly_overlaps(self, place: np.ndarray, size: float, since: int) -> bool:
         """Return True if a sphere of radius `size` at a place (dimensions D,) surely overlaps one of the spheres from
@@ -152,31 +151,30 @@ class _Heap:
         """Add a sphere of radius `size` at a place (D,), and find the pockets that it forms with others: the places
         where a further sphere would touch it and D - 1 others, and overlap none.
         """
-        # Neighbours near enough to touch a further sphere that touches the new one.
+        # neighbours near enough to touch a further sphere that touches the new one
         near = self.near(place, 2)
-        vector = self.away(place, near)
+        vector = self.vectors_from(place, near)
         close = (vector**2).sum(axis=1) < (size + self.radius[near] + 2 * self.sizes[1]) ** 2
         near, vector = near[close], vector[close]
-        # Store the new sphere.
-        own = self.count
-        self.place[own, :-1], self.place[own, -1] = np.mod(place[:-1], self.sides[:-1]), place[-1]
-        self.radius[own], self.count = size, own + 1
-        self.inside.setdefault(self._cell(self.place[own]), []).append(own)
-        self.spots.append(self.place[own].tolist())
+        # store the new sphere
+        number = self.count
+        self.place[number, :-1], self.place[number, -1] = np.mod(place[:-1], self.sides[:-1]), place[-1]
+        self.radius[number], self.count = size, number + 1
+        self.inside.setdefault(self._cell(self.place[number]), []).append(number)
+        self.spots.append(self.place[number].tolist())
         self.radii.append(size)
-        # New pockets, for a further sphere of either size: above the new one, touching it and D - 1 others, overlapping
-        # none.
+        # new pockets, for a further sphere of either size, whose centre must be above height 0
         pairs = _Pairs(vector)
         for new, pockets in self.pockets.items():
             reach = self.radius[near] + new
-            middle, held = pairs.touching(size + new, reach)
+            middle, touched = pairs.touching(size + new, reach)
             above = place[-1] + middle[:, -1] > 0
-            middle, held = middle[above], held[above]
+            middle, touched = middle[above], touched[above]
             free = _overlap_nothing(middle, vector, reach * (1 - CLAIMED_OVERLAP))
-            for offset, others in zip(middle[free], held[free], strict=True):
+            for offset, others in zip(middle[free], touched[free], strict=True):
                 self.made += 1
                 there = place + offset
-                heappush(pockets, (float(there[-1]), self.made, there, (own, *near[others].tolist()), self.count))
+                heappush(pockets, (float(there[-1]), self.made, there, (number, *near[others].tolist()), self.count))
 
     def fill(self, size: float) -> tuple[int, ...] | None:
         """Put a sphere of radius `size` into the lowest pocket, a place where it touches D spheres and overlaps none;
@@ -185,10 +183,10 @@ class _Heap:
         None if no pocket is left.
         """
         while self.pockets[size]:
-            _, _, place, held, since = heappop(self.pockets[size])
+            _, _, place, touched, since = heappop(self.pockets[size])
             if self.is_free(place, size, since):
                 self.put(place, size)
-                return held
+                return touched
         return None
 
 
@@ -223,16 +221,18 @@ class _Pairs:
         numbers (places, D - 1) of these neighbours.
 
         first : distance of the new centre from 0, a sum of two radii.
-        reach : (neighbours,), its distances from their centres. Lengths are in radii of the small spheres.
+        reach : (neighbours,), its distances from the centres of the neighbours, sums of two radii. Lengths are in radii
+            of the small spheres.
         """
-        # the new centre lies on a sphere of radius `first` about 0 and in a plane across each vector: at `along` on it
+        # the distances give the component of the new centre along the unit vector to each neighbour
         along, unit = (first**2 - reach**2 + self.size**2) / (2 * self.size), self.unit
-        # `left` is the squared distance from the foot to both solutions, which lie at right angles to the vectors
+        # they make up the `foot`; both solutions are at the squared distance `left` from it, along `across`
         if self.vector.shape[1] == 2:
             left = first**2 - along**2
             real = left > FLATTEST
             foot, across = along[real, None] * unit[real], unit[real][:, ::-1] * [-1.0, 1.0]
         else:
+            # two neighbours: `side` is the unit vector across the first one in the plane of both
             one, two = self.others.T
             beside = (along[two] - self.cosine * along[one]) / self.sine
             left = first**2 - along[one] ** 2 - beside**2
@@ -324,10 +324,10 @@ def built(
     floor, contact = heap.count, []
     while heap.count < spheres:
         own, wanted = heap.count, sizes[heap.count]
-        held = heap.fill(wanted) or heap.fill(1.0 if wanted == ratio else ratio)
-        if held is None:
+        touched = heap.fill(wanted) or heap.fill(1.0 if wanted == ratio else ratio)
+        if touched is None:
             raise InputError(f"no free place is left after {own:,} spheres; take another seed or a wider box")
-        contact += [(other, own) for other in held]
+        contact += [(other, own) for other in touched]
     pairs, place = np.array(contact, dtype=np.int64).reshape(-1, 2), heap.place
     vector = place[pairs[:, 1]] - place[pairs[:, 0]]
     vector[:, :-1] -= side * np.round(vector[:, :-1] / side)

@@ -74,6 +74,7 @@ def _half_period(m: int, n: int, least: float) -> tuple[np.ndarray, float]:
     share_m, share_n = (cos(pi / (count + 3)) ** 2 for count in (m, n))
     square = 1 / (1 / share_m + 1 / share_n - 1)
     a, c, d = sqrt(square), square / (2 * share_m), square / (2 * share_n)
+    # the circles, and the first discs: C, D, and the images of the lower line in I and of the upper line in J
     circles = ((c / a, 1.0, c / a), (a - d / a, 0.0, d / a))  # I and J: centre and radius
     of_lower, of_upper = c * c / square / 2, d * d / square / 2  # radii of the images of the lines in I and J
     seed = [(0.0, 1 - c, c, 1.0), (a, d, d, -1.0)]
@@ -124,10 +125,10 @@ def _reflected(discs: np.ndarray, x: float, y: float, size: float, a: float, lea
     outside, so none is missed.
     """
     farthest = size * sqrt(discs[:, 2].max(initial=0.0) / least) + 1  # images of those beyond are too small
-    turns = 2 * a * np.arange(-ceil(farthest / (2 * a)) - 1, ceil(farthest / (2 * a)) + 2)
-    copies = np.concatenate([discs * [side, 1, 1, 1] + [turn, 0, 0, 0] for turn in turns for side in (1, -1)])
+    shifts = 2 * a * np.arange(-ceil(farthest / (2 * a)) - 1, ceil(farthest / (2 * a)) + 2)
+    copies = np.concatenate([discs * [side, 1, 1, 1] + [shift, 0, 0, 0] for shift in shifts for side in (1, -1)])
     offset, radius = copies[:, :2] - [x, y], copies[:, 2]
-    power = (offset**2).sum(axis=1) - radius**2  # of the centre with respect to the disc
+    power = (offset**2).sum(axis=1) - radius**2  # power of the centre of the circle with respect to each disc
     factor = size**2 / np.where(power > 0, power, np.inf)
     kept = (factor < 1 - TANGENT) & (factor * radius >= least * (1 - TANGENT))
     image = np.column_stack([[x, y] + factor[:, None] * offset, factor * radius, copies[:, 3]])
@@ -146,7 +147,7 @@ def _contacts(place: np.ndarray, radius: np.ndarray, length: float) -> tuple[np.
     from scipy.spatial import cKDTree  # a tenth of a second that runs do not need
 
     count = len(place)
-    copies = np.concatenate([place + [turn * length, 0.0] for turn in (-1, 0, 1)])
+    copies = np.concatenate([place + [side * length, 0.0] for side in (-1, 0, 1)])
     near = cKDTree(copies).query_ball_point(place, 2 * radius * (1 + TANGENT))  # smaller discs are no farther away
     first, copy = np.repeat(np.arange(count), [len(own) for own in near]), np.concatenate(near).astype(np.int64)
     second = copy % count

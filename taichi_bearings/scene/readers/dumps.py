@@ -1,7 +1,7 @@
-"""One timestep of a dump of LAMMPS or LIGGGHTS, read as the file of a stranger (manual: dump, dump_modify).
+"""One timestep of a dump of LAMMPS or LIGGGHTS (manual: dump, dump_modify).
 
-Nothing is believed that a file says of its length: lines are read one by one, and only numbers that are there take
-memory. A timestep counts only where every line of it is there with its end.
+The file may be damaged, so what it says of its length is not trusted: lines are read one by one, and only numbers that
+are there take memory. A timestep is used only if every line of it is there with its end.
 """
 
 from array import array
@@ -71,7 +71,7 @@ class Frames:
             try:
                 for line, text in enumerate(lines, start=1):
                     begins, awaited = text.startswith(TIMESTEP), bool(starts) and starts[-1][0] < 0
-                    if begins and awaited:  # a writer that was killed there, and another one that went on
+                    if begins and awaited:  # one program was killed here, and another one continued the file
                         starts[-1] = -1, line
                     elif begins:
                         starts.append((-1, line))
@@ -187,7 +187,7 @@ class _Reader:
     def _error_at_line(self, expected: str) -> FileError:
         """Return the error for the line read last, which is not what it should be.
 
-        expected : words for that.
+        expected : words for what the line should be.
         """
         return FileError(f"{self.path} is not a LAMMPS dump, or is damaged: at line {self.line} {expected}")
 
@@ -239,6 +239,7 @@ class _Reader:
                 numbers = [float(words[place]) for place in places]
             except ValueError:
                 numbers = [number_of(words[place]) for place in places]
+            # Python would take 1_000 for a number
             if b"_" in line and any(b"_" in words[place] for place in places):
                 raise ValueError
             if any(not (value.is_integer() and 0 <= value <= MOST_INTEGER) for value in numbers[:whole]):

@@ -161,7 +161,7 @@ def _contacts(
 
     Raises InputError if spheres overlap by more, or if none touch.
     """
-    # Images of spheres across periodic sides stand beside the spheres themselves; pairs that touch are found among all.
+    # all spheres, and their images across periodic sides that may touch one; pairs that touch are found among all
     inside, closed = np.array(center), length > 0
     inside[:, closed] = np.mod(inside[:, closed], length[closed])
     number, shift = images(inside, radius, np.diag(length)[closed], 1 + share)

@@ -19,8 +19,8 @@ from taichi_bearings.text_lines import CutOff
 from taichi_bearings.words import counted, shown
 
 SPIN = ("omegax", "omegay", "omegaz")
-KINDS_OF_PLACES = ("{}", "{}u", "{}s", "{}su")  # as they are, unwrapped, shares of the box, both
-FLAT = 1e-6  # of the largest radius, by which centres of discs may leave their plane
+KINDS_OF_PLACES = ("{}", "{}u", "{}s", "{}su")  # as they are, unwrapped, fractions of the box, unwrapped fractions
+FLAT = 1e-6  # difference of the z of discs that may be rounding, relative to the largest coordinate
 
 
 @dataclass(frozen=True)
@@ -56,23 +56,23 @@ class Asked:
             )
 
     @property
-    def kinds(self) -> list[str]:
+    def type_column(self) -> list[str]:
         """List with the name of the column of atom types; empty if types are not needed."""
         return ["type"] if self.driven_types is not None else []
 
     @property
-    def rates(self) -> list[str]:
+    def spin_columns(self) -> list[str]:
         """List with the names of the columns of spins; empty if these are not needed."""
         return [] if self.spin is not None else list(SPIN if self.dimension == 3 else SPIN[2:])
 
-    def size(self, names: Sequence[str]) -> list[str]:
+    def size_column(self, names: Sequence[str]) -> list[str]:
         """Return a list with the name of the column of radii or diameters; empty if it is not needed.
 
         names : columns of the dump.
         """
         return ["radius" if "radius" in names else "diameter"] if self.radius is None else []
 
-    def place(self, names: Sequence[str]) -> list[str]:
+    def place_columns(self, names: Sequence[str]) -> list[str]:
         """Return the names of the columns of positions.
 
         names : columns of the dump.
@@ -91,13 +91,13 @@ class Asked:
 
         Raises InputError if the dump has no spins and none are given.
         """
-        if lacking := [name for name in self.rates if name not in names]:
+        if lacking := [name for name in self.spin_columns if name not in names]:
             example = "{0: (0, 0, 0), 1: (1, 1, 0)}" if self.dimension == 3 else "{0: 0, 1: 1}"
             raise InputError(
                 f"the dump of the atoms has no column {lacking[0]}; give spin, the imposed spin of each body, such as "
                 f"spin={example}"
             )
-        return ["id", *self.kinds, *self.size(names), *self.place(names), *self.rates]
+        return ["id", *self.type_column, *self.size_column(names), *self.place_columns(names), *self.spin_columns]
 
 
 def read_dumps(atoms: Path, contacts: Path, columns: Sequence[str], asked: Asked) -> dict[str, np.ndarray]:
@@ -122,7 +122,8 @@ def read_dumps(atoms: Path, contacts: Path, columns: Sequence[str], asked: Asked
             "force"
         )
     frame, rows = _frames(atoms, contacts, list(columns), asked)
-    kinds, sizes, places = len(asked.kinds), len(asked.size(frame.names)), asked.place(frame.names)
+    # columns of the atoms are in the order of `Asked.columns`: id, type, size, positions, spins
+    kinds, sizes, places = len(asked.type_column), len(asked.size_column(frame.names)), asked.place_columns(frame.names)
     order = np.argsort(frame.table[:, 0], kind="stable")
     _refuse_strange_rows(frame)
     table, number = frame.table[order], frame.table[order, 0].astype(np.int64)
@@ -135,7 +136,9 @@ def read_dumps(atoms: Path, contacts: Path, columns: Sequence[str], asked: Asked
     center = _centers(frame, places, table[:, 1 + kinds + sizes :][:, : len(places)], asked)
     found: dict[str, Any] = {"center": center, "driven": body, "radius": _radii(frame, table[:, 1 + kinds], asked)}
     spin = (
-        _imposed_spins(body, asked.spin, asked.dimension) if asked.spin is not None else table[:, -len(asked.rates) :]
+        _imposed_spins(body, asked.spin, asked.dimension)
+        if asked.spin is not None
+        else table[:, -len(asked.spin_columns) :]
     )
     found["spin"] = spin if asked.dimension == 3 else spin.reshape(-1)
     _refuse_sizes(frame, order, found["radius"])
@@ -160,15 +163,15 @@ def _frames(atoms: Path, contacts: Path, columns: list[str], asked: Asked) -> tu
             cut.append(f"{contacts} has no timestep {step}")
             continue
         try:
-            whole = 1 + len(asked.kinds)
+            whole = 1 + len(asked.type_column)
             frame = _whole_frame(first, step, "ATOMS", MOST_SPHERES, asked.columns, whole)
             rows = _whole_frame(second, step, "", MOST_CONTACTS, lambda _: columns, 2)
         except CutOff as error:
             cut.append(str(error))
             continue
         if cut:
-            told = "; ".join(dict.fromkeys(cut))
-            logging.getLogger(__name__).warning("bearings: %s; the timestep %d is read instead", told, step)
+            words = "; ".join(dict.fromkeys(cut))
+            logging.getLogger(__name__).warning("bearings: %s; the timestep %d is read instead", words, step)
         return frame, rows
     reasons = f": {'; '.join(dict.fromkeys(cut))}" if cut else ""
     if asked.step is None:
@@ -316,7 +319,7 @@ def _normals(
     Raises InputError for two atoms that do not touch, touch both ways around a periodic side, or come twice.
     """
     center, reach = spheres["center"], spheres["radius"][contact].sum(axis=1)
-    # Shortest vectors around periodic sides, and which contacts are wrong, doubtful or there twice.
+    # shortest vectors around periodic sides, and which contacts are wrong, doubtful or there twice
     vector = center[contact[:, 1]] - center[contact[:, 0]]
     vector, is_doubtful = nearest_images(vector, _periods(frame, asked), (1 + GAP) * reach)
     size = np.linalg.norm(vector, axis=1)

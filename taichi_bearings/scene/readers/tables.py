@@ -1,4 +1,4 @@
-"""Spheres and contacts as tables of text (CSV), read as files of strangers: a failure is a sentence with its line."""
+"""Spheres and contacts from tables of text (CSV), which may be damaged: each error names the line at fault."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
