@@ -212,7 +212,7 @@ def _read_functions_once(reader: Any) -> None:
     """
     read, walk, variables = reader._get_tree_and_ctx, reader.transform_tree, reader._get_global_vars
     context, found = reader.ASTTransformerContext, reader.ASTTransformerContext.get_pos_info
-    free: dict[Any, list[Any]] = {}  # function -> its trees of which none is being walked, file, lines, first line
+    free: dict[Any, list[Any]] = {}  # function -> its syntax trees that are not in use, each with file and lines
 
     def read_again(function: Any, **options: Any) -> tuple[Any, Any]:
         """Return the syntax tree of a function and a new context for compiling it. The tree is one of an earlier call

@@ -285,7 +285,7 @@ def describe(scene: Bearing, sample: int | None = 0) -> str:
     scene = of_lattice(scene)
     shape = r"\times".join(map(str, scene.lattice.shape))
     source = (scene if sample is None else scene.sample(sample)).source
-    return f"${shape}$ {str(scene.law).replace('coulomb', 'Coulomb')}{scene.closed}, {as_text(source)}"
+    return f"${shape}$ {str(scene.law).replace('coulomb', 'Coulomb')}{scene.periodic_in_words}, {as_text(source)}"
 
 
 def mathematics(value: float, digits: int = 6) -> str:

@@ -207,21 +207,20 @@ class Network:
         return sparse.csr_array((value, (row, column)), shape=(d * count, int(unknown.max(initial=-1)) + 1))
 
     @cached_property
-    def whole(self) -> sparse.csr_array:
+    def slip_matrix(self) -> sparse.csr_array:
         """The sparse matrix K, (d * E, N * C), that turns radius * spin of all N spheres into the slips of all E
-        contacts. It has a column sphere * C + component for each of the C spin components of a sphere. Its rows are the
-        slips of the contacts along their first tangents, then along the second ones; d is the number of tangents, 1 of
-        discs, 2 of spheres.
+        contacts. Column sphere * C + component is of a spin component of a sphere. Rows are the slips of all contacts
+        along their first tangents, then along the second ones: d tangents, 1 of discs, 2 of spheres.
         """
         every = np.arange(self.spheres * self.components).reshape(-1, self.components)
         return self.operator(np.arange(self.contacts), every)
 
     @cached_property
-    def whole_transposed(self) -> sparse.csr_array:
+    def slip_matrix_transposed(self) -> sparse.csr_array:
         """Sparse matrix (N * C, d * E) that turns forces along the d tangents of all E contacts into their sums on all
-        N spheres, by spin component: the transpose of `whole`.
+        N spheres, by spin component: the transpose of `slip_matrix`.
         """
-        return self.whole.T.tocsr()
+        return self.slip_matrix.T.tocsr()
 
     def differences(self, spins: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
         """Return a vector for each contact, (components d, samples R, contacts E), whose length gives the slip speed.
@@ -239,7 +238,7 @@ class Network:
             return contact_differences(spins, self.lattice, spin_axes)
         columns = np.moveaxis(spins, 2, 0).reshape(-1, spins.shape[1])
         shape = self.dimension - 1, self.contacts, spins.shape[1]
-        found: np.ndarray = (self.whole @ columns).reshape(shape).transpose(0, 2, 1)
+        found: np.ndarray = (self.slip_matrix @ columns).reshape(shape).transpose(0, 2, 1)
         return found
 
     def pulls(self, force: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
@@ -253,7 +252,7 @@ class Network:
             return torques(force, self.lattice, spin_axes)
         columns = np.moveaxis(force, 1, 2).reshape(-1, force.shape[1])
         shape = self.spheres, self.components, force.shape[1]
-        found: np.ndarray = -(self.whole_transposed @ columns).reshape(shape).transpose(1, 2, 0)
+        found: np.ndarray = -(self.slip_matrix_transposed @ columns).reshape(shape).transpose(1, 2, 0)
         return found
 
     def largest_eigenvalue(self, weight: np.ndarray, inertia: np.ndarray) -> float:
@@ -269,7 +268,7 @@ class Network:
         # absolute values of M^-1/2 K^T W K M^-1/2, which has the same eigenvalues
         scale = np.repeat(np.where(self.free, 1 / np.sqrt(inertia), 0.0), self.components)
         rows = np.tile(np.sqrt(weight), len(self.tangents))
-        half = sparse.diags_array(rows) @ self.whole @ sparse.diags_array(scale)
+        half = sparse.diags_array(rows) @ self.slip_matrix @ sparse.diags_array(scale)
         size = abs(half.T.tocsr() @ half)
         vector, least = np.ones(size.shape[0]), np.inf
         for _ in range(PERRON_STEPS):

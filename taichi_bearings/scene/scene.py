@@ -335,7 +335,7 @@ class Scene(Bearing):
         shape = "x".join(map(str, self.lattice.shape))
         seeds = f"{self.replicas} samples" if self.replicas > 1 else self.source
         top, bottom = (f"{spin:g}" for spin in self.imposed) if self.top is None else (self.top, self.bottom)
-        return f"<Scene {shape} {self.law}, {seeds}, top {top}, bottom {bottom}{self.closed}>"
+        return f"<Scene {shape} {self.law}, {seeds}, top {top}, bottom {bottom}{self.periodic_in_words}>"
 
     def _repr_html_(self) -> str:
         """Return a table of the scene for notebooks."""
@@ -346,7 +346,7 @@ class Scene(Bearing):
         return html_table(repr(self), [*counts, *drawn, *given])
 
     @property
-    def closed(self) -> str:
+    def periodic_in_words(self) -> str:
         """The words ", periodic along x and y", with the periodic axes, which end a list; empty if there are none."""
         return f", periodic along {' and '.join(self.periodic)}" if self.periodic else ""
 

@@ -147,7 +147,7 @@ def _of_lattice(drawn: PointsAndLines) -> tuple[Json, float, str, str]:
     natural = f" = {drawn.structure.power / unit:.6g} Fₙ R ω_T" if scene.law.is_rate_independent and unit > 0 else ""
     bound = f"{_name_of_minimum(scene.law)}proven within {gap:.1e}" if np.isfinite(gap) else "without a proven bound"
     own = {
-        "title": f"{'×'.join(map(str, lattice.shape))} {scene.law}{scene.closed}, {scene.source}",
+        "title": f"{'×'.join(map(str, lattice.shape))} {scene.law}{scene.periodic_in_words}, {scene.source}",
         "shape": list(lattice.shape),
         "origin": [0] * lattice.dimension,
         "steps": [side - 1 for side in lattice.shape],

@@ -169,7 +169,7 @@ def test_the_bound_on_the_stiffest_mode_is_one(needs_f64):
         network, rng = packing.as_stepped(np.zeros(1), np.zeros(1, dtype=bool)).network, np.random.default_rng(seed)
         weight, inertia = rng.uniform(0.1, 2, network.contacts), 10 ** rng.uniform(-2, 1, packing.spheres)
         free = np.repeat(network.free, network.components)
-        slips = network.whole.toarray()[:, free] / np.sqrt(np.repeat(inertia, network.components)[free])
+        slips = network.slip_matrix.toarray()[:, free] / np.sqrt(np.repeat(inertia, network.components)[free])
         rows = np.tile(weight, len(network.tangents))[:, None]
         largest = np.linalg.eigvalsh(slips.T @ (rows * slips)).max(initial=0.0)
         circles = np.abs(slips.T @ (rows * slips)).sum(axis=1).max(initial=0.0)
