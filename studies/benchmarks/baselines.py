@@ -1,6 +1,7 @@
-"""The sweep of our kernels by other means: the best NumPy that we could write, and plain C compiled on the spot.
+"""The sweep of gradient descent without our kernels, to compare with: in the best NumPy that we could write, and in
+plain C that is compiled when it is measured.
 
-A sweep computes the friction of all contacts from the spins, then moves each spin by a step times the sum of the
+A sweep computes the friction of all contacts from the spins, then changes each spin by a step times the sum of the
 friction on it.
 """
 
@@ -20,7 +21,7 @@ from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
 
 SHARPNESS = 1e12  # contacts whose spin difference is less than 1 / SHARPNESS do not slip
-LEAST_SQUARE = {8: 1e-300, 4: 1e-30}  # stands in for 0 under a square root, by the bytes of a number
+LEAST_SQUARE = {8: 1e-300, 4: 1e-30}  # least value under a square root, to divide by it; by the bytes of a number
 SOURCE = Path(__file__).parent / "others" / "sweep.c"
 COMPILERS = ("cc", "gcc", "clang")
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-w", "-shared", "-fPIC")
@@ -28,8 +29,8 @@ FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-w", 
 
 class Arrays:
     """Spins and coefficients of a scene of one sample as flat arrays, in the order in which the kernels have them:
-    sphere after sphere, along the height first, with zeros as margins before and after. `length` is the number of
-    entries with both margins.
+    sphere after sphere, neighbours along the height next to each other, with zeros as margins before and after.
+    `length` is the number of entries with both margins.
 
     dtype, layout : type of all numbers, and the order of the spheres in memory.
     kept : for each axis of the lattice, indices (into the first axis of `spin`) of the components that make its
@@ -57,7 +58,9 @@ class Arrays:
         self.step = self._rows(1e-3 / weight)
 
     def _rows(self, values: np.ndarray) -> np.ndarray:
-        """Return values (C, 1, *N spheres) as flat rows (C components, length), with zeros in the margins."""
+        """Return values (rows, 1, *N spheres) as flat rows (rows, length), with zeros in the margins; a row belongs to
+        a component or an axis.
+        """
         margin, sites = self.layout.margin, self.layout.sites
         sides = ((0, 0), (margin, self.layout.length - margin - sites))
         return np.pad(values.reshape(len(values), -1), sides).astype(self.dtype)
@@ -93,7 +96,7 @@ class NumpySweep:
         """Compute the friction of all contacts, one axis after another, into `force`."""
         start, sites = self.layout.margin, self.layout.sites
         for axis, (kept, stride) in enumerate(zip(self.kept, self.layout.strides, strict=True)):
-            count = sites + stride  # from one stride below the first site on, so that each contact is computed once
+            count = sites + stride  # contacts of all lower spheres, from one stride below the first site on
             below, above = slice(start - stride, start + sites), slice(start, start + count)
             forces = [buffer[:count] for buffer in self.force[axis]]
             for slot, force in zip(kept, forces, strict=True):
@@ -105,6 +108,7 @@ class NumpySweep:
                 np.minimum(forces[0], 1.0, out=forces[0])
                 np.multiply(forces[0], friction, out=forces[0])
                 continue
+            # two components: friction / |difference| times the difference
             square, scratch = self.square[:count], self.scratch[:count]
             np.multiply(forces[0], forces[0], out=square)
             np.multiply(forces[1], forces[1], out=scratch)
@@ -157,7 +161,8 @@ class CSweep:
         self.other = arrays.spin.copy()
         real = "double" if arrays.dtype.itemsize == 8 else "float"
         counts = ",".join(str(len(kept)) for kept in arrays.kept)
-        slots = ",".join(f"{{{(*kept, 0)[0]},{(*kept, 0)[1]}}}" for kept in arrays.kept)
+        pairs = [(*kept, 0)[:2] for kept in arrays.kept]  # sweep.c reads two components for each axis
+        slots = ",".join(f"{{{first},{second}}}" for first, second in pairs)
         options = {
             "REAL": real, "DIMENSION": len(arrays.kept), "COMPONENTS": len(arrays.spin),
             "COUNT": f"{{{counts}}}", "KEPT": f"{{{slots}}}",

@@ -144,8 +144,7 @@ def measure(shape: tuple[int, ...], rounds: int, steps: int) -> Measurements:
 
 
 def _our_seconds_a_step(method: Any, steps: int, _: int) -> float:
-    """Return the processor time of a time step of this program, seconds, as the mean over `steps` of them. The last
-    argument, the number of the round, is not used.
+    """Return the processor time of a time step of this program, seconds, as the mean over `steps` of them.
 
     method : the dynamics, begun.
     steps : number of steps.
@@ -158,7 +157,7 @@ def _our_seconds_a_step(method: Any, steps: int, _: int) -> float:
 
 def _their_seconds_a_step(code: Code, request: Mapping[str, Any], _: int) -> float:
     """Return the processor time of a time step of another code, seconds, as it reports it. Raises BearingsError if it
-    does not see the same number of contacts. The last argument, the number of the round, is not used.
+    finds another number of contacts than the lattice has.
 
     code : the other code.
     request : lattice and number of steps, as :func:`request_of` returns them.

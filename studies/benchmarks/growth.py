@@ -1,11 +1,11 @@
 """Measures how time and memory of a proven minimum grow with a cubic lattice, beside Clarabel, and what bounds them.
 
-Each lattice is solved in a process of its own, so that its memory can be told. Ours includes the proof
-of all contact states. Clarabel solves to the same tolerance and proves nothing; building its matrices is not counted.
-The power laws are fitted to processor times, the time of all threads, which other programs on the machine lengthen
-least. A quick solve is repeated, and the median counts, so that no compilation is measured. What bounds both are the
-factorisations of the interior point: the share of time that they take is measured, and operations and memory of the
-largest one are counted.
+Each lattice is solved in a process of its own, so that its memory can be measured. Our times include the proof of all
+contact states. Clarabel solves to the same tolerance and proves nothing; the time in which its matrices are built is
+left out. The power laws are fitted to processor times, the time of all threads, which other programs on the machine
+lengthen least. A quick solve is repeated, and the median is taken, so that no compilation is measured. Larger lattices
+are bounded by the factorisations of the interior point: the share of time that they take is measured, and operations
+and memory of the largest one are counted.
 """
 
 import time
@@ -36,12 +36,12 @@ from .harness import Measurements, Row, Times, clocked
 from .methods import relative
 from .peers import conic_programme, find_peers
 
-OF_PROCESS = "/proc/self/status"  # what Linux tells of this process
+OF_PROCESS = "/proc/self/status"  # in which Linux reports the memory of this process
 OURS, THEIRS = "this program, states proven", "clarabel, no proof"
 TOLERANCE = 1e-8  # relative gap asked of both
-BRIEF, ROUNDS = 10.0, 3  # a solve that takes fewer seconds of the processor is made once more, and then so often
+BRIEF, ROUNDS = 10.0, 3  # a solve that takes fewer seconds of the processor is repeated so often
 MOST_OF_PEERS = 40_000  # for more spheres Clarabel takes many minutes and gigabytes, and is left out
-FROM = 4_000  # spheres from which on a power law is fitted: below, the cost of calls counts
+FROM = 4_000  # spheres from which on a power law is fitted: in smaller lattices calls take much of the time
 FEWEST = 3  # lattices, so that a fit can be judged
 COLUMNS = {"seconds_processor": "processor time", "memory": "memory"}  # of a row, and their name
 BOUNDS = {
@@ -110,15 +110,17 @@ class Factorising:
 
 @contextmanager
 def watched() -> Iterator[Factorising]:
-    """Context in which the factorisations of this program, in this process, are counted and timed."""
+    """Yield an object that counts and times the factorisations of this program, in this process, until the block
+    ends: the methods `__init__` and `factorise` of all kinds of Factor are replaced meanwhile.
+    """
     found, kinds = Factorising(), Factor.__subclasses__()
     before = [(kind, kind.__init__, kind.factorise) for kind in kinds]
 
     def counting(begin: Callable[..., None]) -> Callable[..., None]:
-        """Return what prepares a factor, and also notes the largest one, in place of what prepares it (`begin`)."""
+        """Return a replacement of the `__init__` of a Factor (`begin`) that also notes the largest factor."""
 
         def begun(factor: Factor, pattern: Any, *others: Any) -> None:
-            """Prepare a factor of a matrix with this pattern; the other arguments are passed on."""
+            """Prepare a factor of a matrix with this pattern; the other arguments are those of `begin`."""
             if isinstance(pattern, Pattern) and pattern.operations > found.operations:
                 found.operations, found.entries = pattern.operations, pattern.factor_entries
             begin(factor, pattern, *others)
@@ -126,14 +128,14 @@ def watched() -> Iterator[Factorising]:
         return begun
 
     def timing(factorise: Callable[[Any], np.ndarray]) -> Callable[[Any], np.ndarray]:
-        """Return what factorises, and also takes the time, in place of what factorises."""
+        """Return a replacement of the `factorise` of a Factor that also measures its processor time."""
 
         def factorised(factor: Factor) -> np.ndarray:
-            """Factorise, and return for which matrices that succeeds."""
-            at = time.process_time()
-            regular = factorise(factor)
-            found.seconds += time.process_time() - at
-            return regular
+            """Factorise, and return a mask (matrices,): True where that succeeds."""
+            began = time.process_time()
+            succeeded = factorise(factor)
+            found.seconds += time.process_time() - began
+            return succeeded
 
         return factorised
 
@@ -199,8 +201,9 @@ def fitted(x: Sequence[float], y: Sequence[float]) -> PowerLaw:
     x, y : (points,), coordinates, all positive.
     """
     (slope, start), covariance = np.polyfit(np.log(x), np.log(y), 1, cov="unscaled")
-    rest = np.log(y) - start - slope * np.log(x)
-    return PowerLaw(slope, float(np.sqrt(covariance[0, 0] * (rest**2).sum() / (len(x) - 2))), float(np.exp(start)))
+    residual = np.log(y) - start - slope * np.log(x)
+    variance = (residual**2).sum() / (len(x) - 2)  # of a point, from the scatter around the line
+    return PowerLaw(slope, float(np.sqrt(covariance[0, 0] * variance)), float(np.exp(start)))
 
 
 def fits(rows: Sequence[Row]) -> dict[tuple[str, str], PowerLaw]:

@@ -1,12 +1,10 @@
-"""One harness for all benchmarks: everything is warmed up and then timed in turns, several times; the median is
-reported.
+"""Times all benchmarks in one way, and writes their reports. What is compared is warmed up and then timed in rounds,
+each of which times everything once; the median over the rounds is reported.
 
-A drift of the machine meets all alike that way. Wall time is what a user waits for; processor time is what that would
-be if no other program shared the machine. A measurement is a row, a dictionary of plain values; a list in it has one
-value for each checkpoint of a run. Measurements run in processes of their own: a process has one compiler runtime. Rows
-become tables, CSV, JSON and figures by one writer.
-
-A round measures each thing once, one after the other.
+So a machine that becomes slower or faster affects everything alike. Wall time is what a user waits for; processor time
+is what that would be if no other program shared the machine. A measurement is a row, a dictionary of plain values; a
+list in it has one value for each checkpoint of a run. Measurements run in processes of their own, since a process can
+have one compiler runtime only. All rows are written as tables, CSV, JSON and figures by the same functions.
 """
 
 import multiprocessing
@@ -77,8 +75,7 @@ class Times:
 
 
 def in_turns(calls: Mapping[str, Callable[[int], T]], rounds: int) -> dict[str, list[T]]:
-    """Call functions in turns, `rounds` times each, and return by name what they have returned, one result for each
-    round.
+    """Call all functions once in each of `rounds` rounds, and return by name the list of what they have returned.
 
     calls : functions that are called with the number of the round, by name.
     """
@@ -102,7 +99,7 @@ def timed(calls: Mapping[str, Callable[[int], None]], rounds: int, slice_seconds
 def clocked(call: Callable[[int], None], number: int = 1, _: int = 0) -> tuple[float, float]:
     """Return wall and processor time, seconds, of one repetition, as the mean over one call.
 
-    call : function that repeats something `number` times. The last argument, the number of the round, is not used.
+    call : function that repeats something as often as its argument says.
     number : how often it is repeated.
     _ : number of the round, not used.
     """
@@ -112,8 +109,8 @@ def clocked(call: Callable[[int], None], number: int = 1, _: int = 0) -> tuple[f
 
 
 def _repetitions(call: Callable[[int], None], seconds: float) -> int:
-    """Return how many repetitions take about so many seconds. This also warms up what is measured. The least of three
-    times is used, since a single one could be lengthened by another program.
+    """Return how many repetitions take about so many seconds, at least one. They are tried, which also warms up what is
+    measured. The least of three times is used, since a single one could be lengthened by another program.
 
     call : function that repeats something as often as its argument says.
     seconds : the time wanted.
@@ -346,9 +343,9 @@ def _csv_lines(row: Row) -> Iterator[Row]:
     """
     plain = {key: "x".join(map(str, of)) if isinstance(of, tuple) else of for key, of in row.items()}
     lists = {key: of for key, of in plain.items() if isinstance(of, list)}
-    same = {key: "" if of is None else of for key, of in plain.items() if not isinstance(of, (list, dict))}
+    shared = {key: "" if of is None else of for key, of in plain.items() if not isinstance(of, (list, dict))}
     for values in zip(*lists.values(), strict=True) if lists else [()]:
-        yield same | dict(zip(lists, values, strict=True))
+        yield shared | dict(zip(lists, values, strict=True))
 
 
 def as_json(report: Report, here: Mapping[str, Any], files: Sequence[Path]) -> dict[str, Any]:

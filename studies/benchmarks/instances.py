@@ -29,7 +29,7 @@ KINDS: dict[str, dict[str, Any]] = {
     "bimodal": {"distribution": "bimodal:0.1,1,0.5"},  # many ties
     "equal": {"distribution": "constant:0.5"},  # whole layers tie
 }
-CLOSEST, ASKED_OF_PEERS = 1e-14, 1e-8  # relative gaps that our method, and other solvers, are asked for
+CLOSEST, ASKED_OF_PEERS = 1e-14, 1e-8  # tolerances that our method, and other solvers, are given
 LONGEST = 3600.0  # seconds that another solver may take
 COLUMNS = ("name", "unknowns", "contacts", "power", "lower_bound", "gap", "unproven", "seconds", "processor")
 

@@ -27,7 +27,7 @@ from .harness import Measurements, Plan, Row, timed
 NUMPY, C = "NumPy sweep", "C sweep"
 BYTES = {2: 800.0, 3: 1800.0}  # most memory a sphere, with all candidates of a lattice, by its dimension
 SPARE = 0.8  # share of the free memory that a lattice may take
-FOREVER = 2**40  # sweeps: more than are ever made
+FOREVER = 2**40  # number of sweeps that no measurement reaches
 
 
 class Candidate(NamedTuple):
@@ -96,7 +96,7 @@ def _candidates(scene: Scene, precision: str, folder: Path) -> Iterator[Candidat
     """
     plain = GradientDescentMethod(GradientDescent(momentum=False))
     yield _candidate("sweep", plain, scene, "random")
-    plain.epoch_length = FOREVER  # stay in the part of the epoch that does not average
+    plain.epoch_length = FOREVER  # no sweep reaches the part of an epoch in which the method averages spins
     yield _candidate("sweep with momentum", GradientDescent().build(), scene, "random")
     for start in ("linear", "random")[: scene.lattice.dimension - 1]:  # in 3D random spins have all components
         yield _candidate("Cundall-Strack step", CundallStrack().build(), scene, start)
@@ -108,8 +108,8 @@ def _candidates(scene: Scene, precision: str, folder: Path) -> Iterator[Candidat
 
 
 def _candidate(name: str, method: Any, scene: Scene, start: str) -> Candidate:
-    """Return a method as something to time, with the seconds by which its first start took longer than its second: to
-    compile, or to load compiled code.
+    """Return a method as something to time. Its `seconds_compile` are those by which its first start took longer than
+    its second: to compile, or to load compiled code.
 
     name : name in the table.
     method : the method, not yet begun.

@@ -5,10 +5,11 @@ no checks that the certificate could judge, so it runs once for each tolerance a
 turns with the others; the run of the median time is reported.
 
 * The time is wall time with the set-up of the scene and without compilation: each method first makes a step on the
-  scene, which compiles its kernels, and then starts afresh. What the first start took longer is its compile time.
+  scene, which compiles its kernels, and then starts afresh. The time by which the first start was longer is its compile
+  time.
 * The least power lies between the best lower bound and the best power of all runs. The reference is that bound, and the
-  width of the interval is the reference's own gap. (power - reference) / power is thus an upper bound of the true
-  error: it never falls below the gap of the reference, and says no more than that where it comes near it.
+  relative width of the interval is the reference gap. So (power - reference) / power is an upper bound of the true
+  error. It never falls below the reference gap; where it comes near that, the true error may as well be 0.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -37,7 +38,7 @@ from .harness import TARGETS, Measurements, Row, in_turns
 from .peers import TOLERANCES, ConicProgramme, Peer, conic_programme, find_peers
 
 TIGHTEST = 1e-14  # gap asked of every method; rounding ends it earlier
-SLACK = 1e-13  # relative rounding of a power; a bound that is higher than a power by more is wrong
+SLACK = 1e-13  # relative rounding of a power: a bound that exceeds a power by more contradicts it
 ROUND_OFF = float(np.finfo(np.float64).eps)  # the least relative error that double precision can resolve
 BRIEF = 3.0  # seconds; a run that takes longer is made once only
 MOST_OF_PEERS = 20_000  # for more spheres conic solvers take minutes and gigabytes, and are left out
@@ -122,11 +123,11 @@ def _by_method(scene: Scene, name: str, options: MethodOptions, seconds: float, 
 
 def _by_peer(peer: Peer, programme: ConicProgramme, seconds: float, threads: int, _: int = 0) -> Row:
     """Return what a conic solver reaches at one tolerance after another: a row whose lists have one entry for each
-    tolerance. It ends at the first that the solver does not reach.
+    tolerance, up to the first that the solver does not reach.
 
     peer : the other solver.
     programme : the conic programme that it is given.
-    seconds : time limit for each tolerance. The last argument, the number of the round, is not used.
+    seconds : time limit for each tolerance.
     threads : number of threads.
     _ : number of the round, not used.
     """
@@ -153,7 +154,7 @@ def relative(power: Sequence[float], bound: Sequence[float] | float) -> list[flo
 
 
 def judged(rows: Sequence[Row]) -> list[Row]:
-    """Return the rows of one scene with further columns, for which all of these rows are compared with each other.
+    """Return the rows of one scene with further columns that compare each of them with the best of all.
 
     rows : a row for each run of a method, with the lists `seconds`, `power` and `lower_bound` at its checks.
 
@@ -166,7 +167,7 @@ def judged(rows: Sequence[Row]) -> list[Row]:
     * `seconds_to`: for each of TARGETS the seconds until that gap was proven, or None.
     """
     reference, found = max(max(row["lower_bound"]) for row in rows), []
-    open_gap = relative([min(min(row["power"]) for row in rows)], reference)[0]
+    reference_gap = relative([min(min(row["power"]) for row in rows)], reference)[0]
     for row in rows:
         gap, error = relative(row["power"], row["lower_bound"]), relative(row["power"], reference)
         best = int(np.argmin(gap))
@@ -175,7 +176,7 @@ def judged(rows: Sequence[Row]) -> list[Row]:
             for target in TARGETS
         }
         at_best = {"proven_gap": gap[best], "true_error": error[best], "after": row["seconds"][best]}
-        more = {"gap": gap, "error": error, "reference_gap": open_gap, "seconds_to": seconds_to}
+        more = {"gap": gap, "error": error, "reference_gap": reference_gap, "seconds_to": seconds_to}
         found.append(row | more | at_best)
     return found
 

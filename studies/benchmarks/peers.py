@@ -49,8 +49,8 @@ class ConicProgramme:
     0 in the first rows, then not negative, then in second-order cones of three rows each.
 
     scene, system : the sample, and its contacts and unknown spins.
-    slips : index of each row's slip among the d A slips of the system (A contacts that can slip, d components):
-        contacts with one component, then the first component of contacts with two, then the second.
+    slips : indices of slip components among the d n of the system (n contacts that can slip, d components): that of
+        contacts with one component, then the first one of contacts with two, then the second one.
     quadratic, linear : P and q.
     matrix, offset : A and b.
     equalities, inequalities, cones : numbers of rows in which s is 0, of rows in which it is not negative, and of
@@ -78,9 +78,9 @@ class ConicProgramme:
         theirs.
         """
         scene, axes, lattice = self.scene, self.scene.minimum_spin_axes, self.scene.lattice
-        own = self.system.all_spins(scene.jump * np.nan_to_num(x[: self.system.unknowns]))
-        own = lattice.parity[..., None] * own.reshape(*lattice.shape, -1)
-        staggered = np.moveaxis(own if lattice.dimension == 2 else own[..., list(axes)], -1, 0)[:, None]
+        spin = self.system.all_spins(scene.jump * np.nan_to_num(x[: self.system.unknowns]))
+        spin = lattice.parity[..., None] * spin.reshape(*lattice.shape, -1)
+        staggered = np.moveaxis(spin if lattice.dimension == 2 else spin[..., list(axes)], -1, 0)[:, None]
         return scene.impose_driving(scene.clip_to_box(staggered, axes), axes)
 
     def forces(self, z: np.ndarray) -> np.ndarray:
@@ -92,12 +92,12 @@ class ConicProgramme:
         """
         scene, pairs = self.scene, self.inequalities // 2
         if not scene.law.holds:
-            along = scene.lattice.radius * scene.jump / 2 * z
+            found = scene.lattice.radius * scene.jump / 2 * z
         else:
             cones = z[2 * pairs :].reshape(-1, 3)
-            along = scene.normal_force * np.concatenate([z[:pairs] - z[pairs : 2 * pairs], -cones[:, 1], -cones[:, 2]])
+            found = scene.normal_force * np.concatenate([z[:pairs] - z[pairs : 2 * pairs], -cones[:, 1], -cones[:, 2]])
         force = np.zeros(self.system.offset.size)
-        force[self.slips] = along
+        force[self.slips] = found
         friction = forces_of(self.system, force.reshape(self.system.offset.shape))[1]
         return staggered_forces(friction[None], scene.lattice, scene.minimum_spin_axes)
 
@@ -129,11 +129,12 @@ def conic_programme(scene: Scene) -> ConicProgramme:
     system = ContactSystem.of(scene)
     system.operator.eliminate_zeros()
     d, count = system.offset.shape
-    live = ((np.diff(system.operator.indptr) > 0) | (system.offset.ravel() != 0)).reshape(d, count)
-    one = live.sum(axis=0) == 1
-    slips = np.concatenate([np.flatnonzero(live & one), np.flatnonzero(live & ~one)])
+    # slip components that are not 0 whatever the spins are, those of contacts with one such component first
+    can_change = ((np.diff(system.operator.indptr) > 0) | (system.offset.ravel() != 0)).reshape(d, count)
+    has_one = can_change.sum(axis=0) == 1
+    slips = np.concatenate([np.flatnonzero(can_change & has_one), np.flatnonzero(can_change & ~has_one)])
     matrix, offset = system.operator[slips], system.offset.ravel()[slips] / (scene.lattice.radius * (scene.jump or 1.0))
-    coefficient = np.where(live.any(axis=0), scene.coefficient[0, system.contact], 0.0)  # others have no slip to bound
+    coefficient = np.where(can_change.any(axis=0), scene.coefficient[0, system.contact], 0.0)
     unknowns, nothing = system.unknowns, np.zeros(system.unknowns)
     if not scene.law.holds:
         rows = len(slips)
@@ -147,12 +148,12 @@ def conic_programme(scene: Scene) -> ConicProgramme:
             offset=-offset,
             equalities=rows,
         )
-    size, scalars, cones = unknowns + count, int(one.sum()), (len(slips) - int(one.sum())) // 2
-    slide = sparse.hstack([matrix, sparse.csr_matrix((len(slips), count))]).tocsr()
-    least = sparse.identity(size, format="csr")[unknowns + slips[: scalars + cones] % count]  # t of each contact
-    stacked = sparse.vstack(
-        [slide[:scalars] - least[:scalars], -slide[:scalars] - least[:scalars], -least[scalars:], -slide[scalars:]]
-    )
+    size, scalars = unknowns + count, int(has_one.sum())  # unknowns with t; contacts with one slip component
+    cones = (len(slips) - scalars) // 2
+    y = sparse.hstack([matrix, sparse.csr_matrix((len(slips), count))]).tocsr()
+    t = sparse.identity(size, format="csr")[unknowns + slips[: scalars + cones] % count]  # of each contact
+    # s = t - y >= 0 and s = t + y >= 0 for contacts with one component; s = (t, y) in a cone for the others
+    stacked = sparse.vstack([y[:scalars] - t[:scalars], -y[:scalars] - t[:scalars], -t[scalars:], -y[scalars:]])
     sides = np.concatenate([-offset[:scalars], offset[:scalars], np.zeros(cones), offset[scalars:]])
     order = np.arange(len(sides))
     order[2 * scalars :] = order[2 * scalars :].reshape(3, cones).T.ravel()  # t, y_1, y_2 of one cone together

@@ -96,15 +96,15 @@ def measure(shape: tuple[int, ...], number: int, rounds: int, workers: int) -> M
     with ExitStack() as stack:
         engines = {name: stack.enter_context(closing(LocalEngine(work, workers))) for name, work in known.items()}
 
-        def solve(turn: int, name: str, most: int | None = None) -> tuple[float, float]:
+        def solve(round_number: int, name: str, most: int | None = None) -> tuple[float, float]:
             """Let one program solve the samples of a round, and return the seconds for a sample and the share of
             samples all of whose contact states are proven.
 
-            turn : number of the round.
+            round_number : number of the round.
             name : name of the program.
             most : solve so many units of work only; None for all.
             """
-            samples = samples_of(shape, turn * number, number)
+            samples = samples_of(shape, round_number * number, number)
             units = units_of(samples, workers=workers) if name == OURS else [(one,) for one in samples]
             began = time.perf_counter()
             with stage(name):

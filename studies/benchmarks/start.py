@@ -1,8 +1,9 @@
 """Measures how long commands take to start: the whole time in which they solve a sample of 36 spheres.
 
 Solving it takes a few hundredths of a second. The rest is what every command takes that needs compiled kernels: loading
-the program, starting the compiler, loading kernels or compiling them, writing files, and ending. Of a scan it is the
-same for a worker, and what is around it. Beside them stands the least that it can be: the compiler alone.
+the program, starting the compiler, loading kernels or compiling them, writing files, and ending. In a scan a worker
+takes this time, and the process that starts it takes some, too. The start of the compiler alone, which no command can
+go below, is measured for comparison.
 """
 
 import os
@@ -31,7 +32,7 @@ COMMANDS = {
 """By name, the arguments of Python that are measured."""
 COMPILER = {"the compiler alone, imported and started": ("-c", "from taichi_bearings import runtime; runtime.start()")}
 KEPT, NOTHING_KEPT = "kernels kept", "nothing kept"
-LOADS = 2  # runs after which all is kept: the first one compiles, the second one keeps what kernels are made from
+LOADS = 2  # runs until the cache is complete: the first one compiles, the second stores what kernels are made from
 
 
 def _once(arguments: tuple[str, ...], cache: Path | None, _: int = 0) -> tuple[float, float]:

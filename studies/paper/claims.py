@@ -43,12 +43,11 @@ CONFIDENCE = 0.95  # of each end of the interval of a share
 SAMPLES, QUICK_SAMPLES = 200, 20  # default numbers of seeds for a statistical claim
 MOST_DIGITS = 12  # after the point of a share
 LEAST_EXPONENT = -4  # numbers with a smaller decimal exponent are written with it
-ROUND_OFF = 1e-12  # relative difference that numbers of samples may have by rounding alone
+ROUND_OFF = 1e-12  # relative difference by which the numbers of different samples may differ by rounding alone
 
 
 def share(value: float, digits: int = 1) -> str:
-    """Return a share as a text in percent. One that is not quite all, or not quite nothing, gets as many digits as it
-    takes to say so.
+    """Return a share as a text in percent. A share near 0 or 1 gets as many digits as are needed to tell it from these.
 
     value : the share, from 0 to 1.
     digits : least number of digits after the point.
@@ -187,8 +186,10 @@ class Share:
         return float(betaincinv(self.hits + 1, misses, CONFIDENCE)) if misses else 1.0
 
     def needed_for(self, limit: float) -> int:
-        """Return about how many samples, of which the same share has the property, would show that the true share lies
-        above, or below, `limit`, a number between 0 and 1.
+        """Return about how many samples would show that the true share lies above, or below, `limit`, if the same part
+        of them has the property as of those drawn.
+
+        limit : a share, between 0 and 1.
 
         If the samples drawn show that already, their number is returned; if more than 10^6 were needed, a number above
         that.
@@ -198,7 +199,7 @@ class Share:
             scaled = Share(round(self.hits / max(self.samples, 1) * number), number)
             if scaled.least > limit or scaled.most <= limit:
                 return number
-            number = number + 1 if number < 100 else int(1.05 * number)
+            number = number + 1 if number < 100 else int(1.05 * number)  # to within 5 %
             if number > 10**6:
                 return number
 
@@ -366,7 +367,9 @@ def judged(claim: str, /, **named: Any) -> list[Claim]:
     scope = {"np": np, "Share": Share, "span": span, **text.get("limits", {}), **named}
 
     def rule(key: str, default: Any = None) -> Any:
-        """Return a value of the claim's table; a text is evaluated as a Python expression in the names known so far.
+        """Return the value that the claim's table has for a key; a text is evaluated as a Python expression in the
+        names known so far.
+
         default : value if the table lacks the key.
         """
         found = text.get(key, default)

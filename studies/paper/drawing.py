@@ -1,8 +1,5 @@
 """Draws what figures of several studies share: means and standard deviations of samples against their size, and fitted
 laws.
-
-Arguments in all functions: `axes`, the panel of a matplotlib figure; `found`, for each size (or other key) an array of
-one number for each sample.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,7 +15,7 @@ def draw_deviations(axes: Any, found: Mapping[int, np.ndarray], **look: Any) -> 
     found : for each size, the numbers (samples,).
     look : further arguments of matplotlib's errorbar.
     """
-    pairs = [(of.std(), of.std() / (2 * len(of)) ** 0.5) for of in found.values()]
+    pairs = [(of.std(), of.std() / (2 * len(of)) ** 0.5) for of in found.values()]  # error of normal samples
     axes.errorbar(list(found), *zip(*pairs, strict=True), **{"fmt": "o", "ms": 3, "lw": 0.8, **look})
 
 

@@ -26,7 +26,7 @@ from .samples import StudyResult, Table, drawn
 from .sweeps import crossings
 
 FRICTION = (0.1, 1.0)  # uniform, the paper's
-HELD = 1e3  # friction that the ends of a path cannot cross
+HELD = 1e3  # friction that no lightest path crosses: it fixes the ends of paths
 WIDTH = 2.5  # half the height of the lattice over L^(2/3): seven standard deviations of a held path's middle
 BLOCK = 100  # samples whose numbers are kept together
 AT_ONCE = 2**20  # most discs of all samples that are drawn together, unless one sample has more
@@ -59,6 +59,7 @@ def draw(kind: str, length: int, height: int, samples: int, seed: int) -> dict[s
         sideways = rng.uniform(*FRICTION, (count, length - 1, height))
         upward = rng.uniform(*FRICTION, (count, length, height - 1))
         if kind == "held":
+            # in the first and the last column only the middle contact can be crossed
             upward[:, [0, -1]] += np.where(np.arange(height - 1) == (height - 1) // 2, 0.0, HELD)[None, None]
         through = crossings(sideways, upward, length // 2)
         found["weight"] += through.min(axis=1).tolist()

@@ -1,17 +1,17 @@
 """Figure 1 of the paper: stationary states of 10x10 discs with the bottom at rest, viscous and Coulomb.
 
-With Coulomb friction the discs form two rigid domains, one that rolls with the bottom and one with the top; the
-contacts between them are the minimum cut: those of the least total friction that part bottom from top. Its power is
+With Coulomb friction the discs form two rigid domains, one that rolls with the bottom and one with the top. The
+contacts between them are the minimum cut: the set of least total friction that separates bottom and top. Its power is
 computed in three ways that share no code: as a shortest path of the dual graph (planar/), as a largest flow
 (minimum_cut.py), and by the interior-point method. The paper counts states that a gradient descent has reached in
 finitely many steps, so such descents are made, too.
 
-What can be seen of the minimum in a descent that has not ended: each level between the spins of bottom and top parts
-the discs in two, and the power is the mean of the powers of all these cuts. If the second lightest cut is heavier than
-the minimum cut by the factor 1 + e, and a share s of the levels is not at the minimum cut, then P >= (1 + s e) P_min.
-(A level around an island of discs costs more than one at a near second cut: here 0.3 for three contacts, 0.1 each.) So
-a contact that is not of the cut can slip by s of the jump, or one of the cut by 1 - s, only if e <= (P / P_min - 1) /
-s.
+What a descent that has not ended shows of the minimum: each value between the staggered spins of bottom and top is a
+level that divides the discs in two, those below it and those above. That is a cut, and the power is the mean of the
+powers of the cuts at all levels. If the second lightest cut is heavier than the minimum cut by the factor 1 + e, and a
+share s of the levels is not at the minimum cut, then P >= (1 + s e) P_min. (A level around an island of discs costs
+more than one at a second cut of nearly the least weight: at least 0.3, for three contacts of 0.1 each.) So a contact
+that is not of the cut can slip by s of the jump, or one of the cut by 1 - s, only if e <= (P / P_min - 1) / s.
 
 Letters: R samples, E contacts, N the shape of the lattice. Units: powers energy/time, spins 1/time. The jump is the
 difference of the imposed spins of top and bottom.
@@ -80,9 +80,8 @@ def study(folder: Path, effort: Effort) -> StudyResult:
     with stage("relaxations"):
         apart = apart_from_cut(few())
     boundaries = two_boundaries(exact, cut, ended)
-    shown = int(
-        exact.is_level[: effort.samples].argmin()
-    )  # the first sample whose cut is not level, else the first one
+    # the figure shows the first sample whose cut is not level, or the first one if there is none
+    shown = int(exact.is_level[: effort.samples].argmin())
     spins = {law: spins_of(solution, shown) for law, solution in (("viscous", viscous), ("coulomb", minimum))}
     named = {
         "sizes": {"x".join(map(str, of.scene.network.shape)): viscous_numbers(of) for of in (viscous, cubes)},
@@ -163,8 +162,8 @@ def beside_descent(exact: Table, cut: MinimumCut, ended: Solution) -> Table:
 
 
 def beside_cut(scene: Scene) -> Table:
-    """Return a table that compares minima by the interior-point method with the minimum cuts of the same samples; it
-    has a row for each sample of the scene.
+    """Return a table that compares minima by the interior-point method with the minimum cuts of the same samples, a
+    row for each sample of the scene.
 
     Columns: `spread`, largest relative difference between the power of the cut and the two proven bounds of the
     minimum; `differing`, number of contacts that slip at the minimum but are not of the cut, or the other way round;
@@ -240,14 +239,14 @@ def two_boundaries(exact: Table, cut: MinimumCut, ended: Solution) -> Table:
     """
     scene, chosen = of_lattice(ended.scene), np.flatnonzero(exact.differs)
     weight = scene.lattice.by_axis(cut_weights(scene)[chosen])
-    pick = MinimumCut(*(getattr(cut, name)[chosen] for name in MinimumCut.__dataclass_fields__))
-    second, second_weight = next_cut(weight, pick)
-    first, other = (contacts_between(scene, above) for above in (pick.above, second))
-    slips = visible(scene, ended)[chosen] & ~first
+    chosen_cut = MinimumCut(*(getattr(cut, name)[chosen] for name in MinimumCut.__dataclass_fields__))
+    second, second_weight = next_cut(weight, chosen_cut)
+    of_first, of_second = (contacts_between(scene, above) for above in (chosen_cut.above, second))
+    slips_beside_first = visible(scene, ended)[chosen] & ~of_first
     return exact[chosen] | {
-        "within": ~(slips & ~other).any(axis=1),
-        "at_second": (slips & other).any(axis=1),
-        "same": np.isclose(second_weight, pick.next_weight, rtol=SAME, atol=0),
+        "within": ~(slips_beside_first & ~of_second).any(axis=1),
+        "at_second": (slips_beside_first & of_second).any(axis=1),
+        "same": np.isclose(second_weight, chosen_cut.next_weight, rtol=SAME, atol=0),
     }
 
 

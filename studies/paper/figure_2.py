@@ -128,10 +128,9 @@ def without_idle_spin(staggered: np.ndarray) -> np.ndarray:
 
     staggered : (3 components, R samples, nx, ny, nz), spins with signs that alternate between neighbours.
     """
-    rest = staggered.copy()
-    free = rest[2, ..., 1:-1]
-    free -= free.mean(axis=(1, 2), keepdims=True)
-    found: np.ndarray = rest
+    found: np.ndarray = staggered.copy()
+    about_height = found[2, ..., 1:-1]  # a view: free layers alone
+    about_height -= about_height.mean(axis=(1, 2), keepdims=True)
     return found
 
 
@@ -146,11 +145,12 @@ def intermediate_spheres(scene: Scene, spin: np.ndarray) -> np.ndarray:
     """
     axes = scene.minimum_spin_axes
     staggered = scene.staggered_spin(spin, axes)
-    apart = [
+    differs_from_bottom, differs_from_top = (
         np.linalg.norm(staggered - value, axis=0) > 1e-3 * scene.jump
         for value in (0.0, scene.top_spin(axes)[:, None, ..., None])
-    ]
-    return np.asarray((apart[0] & apart[1] & ~scene.lattice.is_driven).reshape(scene.replicas, -1).sum(axis=1))
+    )
+    intermediate = differs_from_bottom & differs_from_top & ~scene.lattice.is_driven
+    return np.asarray(intermediate.reshape(scene.replicas, -1).sum(axis=1))
 
 
 @in_our_style

@@ -114,17 +114,17 @@ def planes_of(path: np.ndarray) -> tuple[tuple[int, int], ...]:
     path : (spheres, 3) lattice indices of the spheres along the path.
     """
     step, lower = np.diff(path, axis=0), np.minimum(path[:-1], path[1:])
-    shown, chosen = np.zeros(len(step), dtype=bool), []
+    covered, chosen = np.zeros(len(step), dtype=bool), []  # contacts of the path in the planes chosen so far
     for _ in range(PLANES):
-        best, held = None, shown
+        best, with_best = None, covered
         for axis in (0, 1):
             for index in np.unique(path[:, axis]):
                 inside = (step[:, axis] == 0) & (lower[:, axis] == index)
-                if (shown | inside).sum() > held.sum():
-                    best, held = (axis, int(index)), shown | inside
+                if (covered | inside).sum() > with_best.sum():
+                    best, with_best = (axis, int(index)), covered | inside
         if best is not None:
             chosen.append(best)
-            shown = held
+            covered = with_best
     return tuple(chosen)
 
 
@@ -138,10 +138,10 @@ def leaves_of(network: SliplessNetwork, axis: int, index: int) -> np.ndarray:
     lattice = network.lattice
     ends = lattice.ends[:, network.on_path & (lattice.axis == axis)]
     leaves = []
-    for spheres, way in zip(ends, (1, -1), strict=True):  # a contact leads upwards from its lower sphere
+    for spheres, direction in zip(ends, (1, -1), strict=True):  # lower spheres, from which the contact leads upwards
         place = np.stack(np.unravel_index(spheres, lattice.shape), axis=1)
-        out = np.delete(place[place[:, axis] == index], axis, axis=1)
-        leaves.append(np.column_stack([out, np.full(len(out), way * TOWARDS_READER[axis])]))
+        in_plane = np.delete(place[place[:, axis] == index], axis, axis=1)
+        leaves.append(np.column_stack([in_plane, np.full(len(in_plane), direction * TOWARDS_READER[axis])]))
     return np.concatenate(leaves)
 
 

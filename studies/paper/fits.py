@@ -21,14 +21,14 @@ from scipy.stats import chi2, skew
 
 RESAMPLES = 400
 EXPONENTS, TRIALS, COLLAPSES = (-0.5, 2.5), 151, 50  # of a collapse: range of a, trials in it, number of resamples
-MOST_MISFIT = 1.5  # curves lie together if chi^2 a degree of freedom is no larger
+MOST_MISFIT = 1.5  # curves fall onto one if chi^2 for each degree of freedom is no larger
 LEAST_FREE, LEAST_CURVES = 2, 3  # least degrees of freedom of a fit, and curves of a collapse
 POSSIBLE = {True: (0.05, 1.5), False: (-1.0, 1.5)}  # range of exponents of deviations, with a constant and without
-FINELY = 500  # trial exponents in that range
+FINELY = 500  # number of trial exponents in the range POSSIBLE
 VARIANCE = partial(np.var, ddof=1)  # unbiased
 LEAST_GOODNESS = 0.05  # a fit is good enough if a misfit as large has at least this probability
-STATED = 1.0  # exponent w of a limit: that of the share of a sample which its surface is
-OTHERS = (0.5, 2.0)  # other w, which add to the error where they fit as well
+STATED = 1.0  # exponent w of a limit: the surface of a sample is a share L^-1 of it
+OTHERS = (0.5, 2.0)  # other w; where they fit as well, the change of the limit is a systematic error
 LEAST_OF_LIMIT, LEAST_SAMPLES = 3, 3  # least sizes of the fit of a limit, and samples of a size
 ROUND_OFF = 1e-12  # a spread that is a smaller share of the mean is rounding
 
@@ -132,13 +132,13 @@ def exponent(
     further : exponents of L in further terms that are fitted as well, first that of a constant offset, 0.
     """
     rng, sizes = np.random.default_rng(0), np.array(sorted(samples))
-    # what grows, of the samples and of R resamples of each size; deviations of the latter made free of bias
+    # the quantity that grows, of the samples and of R resamples of each size; resampling makes deviations too small
     variance = np.array([square(samples[L]) for L in sizes])
     again = np.array([[square(rng.choice(samples[L], len(samples[L]))) for _ in range(RESAMPLES)] for L in sizes])
     again = variance[:, None] + (again - variance[:, None]) * _resampling_factors(samples)[:, None]
     spread, fits = again.std(axis=1, ddof=1), []
     columns = np.concatenate([variance[:, None], again], axis=1)
-    # fits from each smallest size on: the first column gives the value, the scatter of the others its error
+    # fits to all sizes, then without the smallest one, ...: the first column gives the value, the others its error
     for first in range(max(1, len(sizes) - LEAST_FREE - 1 - len(further))):
         values, misfit = _best_exponents(sizes[first:], spread[first:], further, columns[first:])
         goodness = float(chi2.sf(misfit, max(1, len(sizes) - first - 2 - len(further))))
@@ -192,11 +192,13 @@ def _best_exponents(
     its misfit and those of its two neighbours.
     """
     trials = np.linspace(*POSSIBLE[bool(further)], FINELY)
-    target, every = columns / spread[:, None], np.arange(columns.shape[1])
+    target, series = columns / spread[:, None], np.arange(columns.shape[1])
+    # misfit (trials, series) of linear least squares: |target|^2 less its projection on the span of the terms
     basis = np.linalg.qr(_terms_over_errors(sizes, spread, further, trials))[0]
     misfit = (target**2).sum(axis=0) - ((basis.transpose(0, 2, 1) @ target) ** 2).sum(axis=1)
+    # lowest point of the parabola through the least misfit and its neighbours
     at = np.clip(misfit.argmin(axis=0), 1, FINELY - 2)
-    before, here, after = (misfit[at + step, every] for step in (-1, 0, 1))
+    before, here, after = (misfit[at + step, series] for step in (-1, 0, 1))
     bend = np.maximum(before - 2 * here + after, np.finfo(float).tiny)
     shift = np.clip((before - after) / (2 * bend), -1, 1)
     return trials[at] + shift * (trials[1] - trials[0]), float(here[0] - shift[0] ** 2 * bend[0] / 2)
@@ -227,7 +229,7 @@ def limit(samples: Mapping[int, np.ndarray]) -> Limit | None:
     if len(known) < LEAST_OF_LIMIT or (spread <= ROUND_OFF * np.abs(mean)).any():
         return None
     rng, sizes = np.random.default_rng(0), np.array(list(known))
-    # Resampled means, widened as resampling makes them too narrow.
+    # Resampled means; their deviations, which resampling makes too small, are widened.
     drawn = np.array([rng.choice(of, (RESAMPLES, len(of))).mean(axis=1) for of in known.values()]) - mean[:, None]
     again = mean[:, None] + drawn * _resampling_factors(known)[:, None]
     # A straight line in L^-STATED through all sizes from the first, the second, ... on.
@@ -308,10 +310,10 @@ def _mean_square_distance(
 
     courses : for each size the mean as a spline in log n.
     means, errors : for each size the means (points,) and their standard errors.
-    a : trial exponent: the curve of size L is shifted by -a log L.
+    a : trial exponent: against log(n / L^a) the curve of size L is shifted by -a log L.
     """
     total, count = 0.0, 0
-    for L, M in permutations(courses, 2):
+    for L, M in permutations(courses, 2):  # points of the curve L, compared with the curve M
         known = courses[M].x
         x = courses[L].x - a * np.log(L / M)
         inside = (x >= known[0]) & (x <= known[-1])
@@ -368,8 +370,8 @@ def _cumulants(values: np.ndarray) -> tuple[float, float]:
     """Return the second and the third cumulant of some values (samples,): the mean square and the mean cube of their
     deviation from the mean.
     """
-    apart = values - values.mean()
-    return float((apart**2).mean()), float((apart**3).mean())
+    deviation = values - values.mean()
+    return float((deviation**2).mean()), float((deviation**3).mean())
 
 
 def skewness_of_least(values: np.ndarray, several: int) -> tuple[float, float]:
@@ -379,14 +381,15 @@ def skewness_of_least(values: np.ndarray, several: int) -> tuple[float, float]:
     values : (samples,) numbers drawn from the distribution.
     """
     count, rng = len(values), np.random.default_rng(0)
-    # probability that the least is the k-th smallest value: the rest is above with ((count - k) / count) ** several
+    # all of them lie above the k smallest values with the probability ((count - k) / count) ** several; the differences
+    # are the probabilities that the least one is each value
     share = -np.diff((np.arange(count, -1, -1) / count) ** several)
 
     def of(drawn: np.ndarray) -> float:
         """Return the skewness of the least of several numbers that are drawn independently from these (samples,)."""
-        apart = np.sort(drawn)
-        apart -= share @ apart
-        return float(share @ apart**3 / (share @ apart**2) ** 1.5)
+        deviation = np.sort(drawn)
+        deviation -= share @ deviation
+        return float(share @ deviation**3 / (share @ deviation**2) ** 1.5)
 
     again = [of(rng.choice(values, count)) for _ in range(RESAMPLES)]
     return of(np.array(values)), float(np.std(again, ddof=1))

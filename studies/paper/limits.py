@@ -26,8 +26,9 @@ from .samples import StudyResult, Table, measured, planned
 
 QUICK = {"limits": 16, "limits-variants": 16, "limits-rate": 16, "limits-large": 24, "limits-largest": 32}
 """The scan files by name, and the largest side of their samples that the quick form takes."""
-PAPER, PERIODIC = "as in the paper", "periodic sides"
+PAPER, PERIODIC = "as in the paper", "periodic sides"  # names of systems
 WEAK, BROAD = ("uniform:0.5,1", "uniform:0.9,1"), ("lognormal:0.4,1", "power-law:0.001,1,-1", "bimodal:0.1,1,0.5")
+# quantities that are extrapolated: of all samples, and of those whose slipless contacts join bottom and top
 OF_ALL = ("power_over_cut", "slipless_fraction", "intermediate", "domains_a_sphere", "largest_share")
 OF_SPANNING = ("path_over_height", "busiest_link_share")
 # attributes of a Limit that are written to the table

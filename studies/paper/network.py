@@ -74,15 +74,18 @@ def names_of(table: Table) -> dict[str, Any]:
 
 def numbers_of(structure: Structure) -> dict[str, Any]:
     """Return the columns of one sample by name: numbers of its network at the minimum and, for some of them (VIEWED), a
-    list NAME_seen. The list has, for each of THRESHOLDS, the number that would be found if contacts with a smaller slip
-    were taken for slipless; its last entry is by the proven contact states. At the minimum of a large sample the slips
-    span many decades, so a coarse threshold merges slipping contacts into the network and domains into each other.
+    list NAME_seen.
 
     structure : network, domains, cut and bottlenecks of the sample.
+
+    The list has, for each of THRESHOLDS, the number that would be found if contacts with a smaller slip were taken for
+    slipless; its last entry is by the proven contact states. At the minimum of a large sample the slips span many
+    decades, so a coarse threshold adds slipping contacts to the network and merges domains.
     """
     unit = structure.scene.slip_radius * structure.scene.jump
     seen = [*(structure.by_threshold(threshold * unit) for threshold in THRESHOLDS), structure]
-    sizes = [of.contacts_in(ContactState.SLIPLESS) for of in seen]  # sets are nested: the same number, the same set
+    # sets of slipless contacts are nested, so sets of the same size are equal and are looked at once
+    sizes = [of.contacts_in(ContactState.SLIPLESS) for of in seen]
     different = dict(zip(sizes, seen, strict=True))
     views = {size: {name: float(look(of)) for name, look in VIEWED.items()} for size, of in different.items()}
     return sample_of(structure) | {f"{name}_seen": [views[size][name] for size in sizes] for name in VIEWED}
@@ -99,8 +102,8 @@ def sample_of(structure: Structure) -> dict[str, Any]:
     busiest_link_share : the largest share of shortest paths that use one contact.
     plane_spans : True if the slipless contacts of a single upright lattice plane join bottom and top.
     """
-    network, passed = structure.network, structure.bottlenecks
-    assert passed is not None  # as a lattice has two planes
+    network, bottlenecks = structure.network, structure.bottlenecks
+    assert bottlenecks is not None  # as a lattice has two planes
     analysed = ("spanning_fraction", "domains", "disjoint_paths", "effective_links", "parting_links")
     shared = shared_numbers(structure, *analysed)
     planes_x, planes_y = network.path_planes
@@ -110,7 +113,7 @@ def sample_of(structure: Structure) -> dict[str, Any]:
         "shortest_path": max(len(network.shortest_path) - 1, 0),
         "planes_x": planes_x,
         "planes_y": planes_y,
-        "busiest_link_share": float(passed.share.max(initial=0.0)),
+        "busiest_link_share": float(bottlenecks.share.max(initial=0.0)),
         "plane_spans": bool(any(spans_within_planes(network, axis).any() for axis in (0, 1))),
     }
 
@@ -131,8 +134,8 @@ def reached_by_chance(lattice: Lattice, density: float) -> float:
     """Return the expected share of free spheres that are touched by a contact, if each contact of the lattice is
     present with probability `density`.
     """
-    contacts = np.bincount(lattice.ends.ravel(), minlength=lattice.is_driven.size)  # of each sphere
-    return float((1 - (1 - density) ** contacts[~lattice.is_driven.ravel()]).mean())
+    degree = np.bincount(lattice.ends.ravel(), minlength=lattice.is_driven.size)
+    return float((1 - (1 - density) ** degree[~lattice.is_driven.ravel()]).mean())
 
 
 @in_our_style

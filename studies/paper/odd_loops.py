@@ -12,12 +12,12 @@ rolls slips by twice the speed of the others, so it costs about twice a mean fri
 that, and the interface moves out of their way. Let n be the number of odd contacts, L the size and s the share of discs
 that roll.
 
-* Below the top the interface encloses s n odd contacts. It wanders by L^(2/3), and interfaces further apart than that
-  differ by about L^(1/3) in power, so few odd contacts leave s ~ L^(1/3) / n.
-* If s L is below L^(2/3), the interface is confined between the top and the odd contacts: in each of L / (s L)^(3/2)
-  stretches of a length (s L)^(3/2) it loses (s L)^(1/2), so 1 / s in all, and s n + c / s is least at s = (c /
-  n)^(1/2), whatever the size.
-* Both together: s n^(1/2) is a function of n / L^(2/3), constant where that is large.
+* Between the top and the interface lie s n odd contacts. The interface wanders by L^(2/3), and interfaces further apart
+  than that differ by about L^(1/3) in power, so s ~ L^(1/3) / n for few odd contacts.
+* If s L is below L^(2/3), the interface is confined between the top and the odd contacts. It then consists of
+  L / (s L)^(3/2) stretches of the length (s L)^(3/2), each of which costs (s L)^(1/2) more, together 1 / s. The sum
+  s n + c / s is least at s = (c / n)^(1/2), whatever the size.
+* Both cases are described by one law: s n^(1/2) is a function of n / L^(2/3), constant where n / L^(2/3) is large.
 
 In any case a vanishing density stops large bearings. Every sample is solved exactly, by cuts of the double cover. For
 comparison the same is done with contacts across the squares of cubic lattices of spheres, whose minima are proven.
@@ -60,14 +60,15 @@ DENSEST = 0.5  # odd contacts take at most this share of the places
 BOTTOMS = (0.0, 0.25, 0.5, 1.0)  # omega_B / omega_T
 # L of the lattices of discs whose bottom rotates, and samples of them for each sample of the effort
 TURNED, OF_TURNED = 32, 4.0
-LANDSCAPE = {"square": 1 / 3, "triangular": 1 / 3, "cubic": 0.84}  # a of n / L^a, if the power of interfaces decides
-DIMENSION = {"square": 2, "triangular": 2, "cubic": 3}  # a of n / L^a, if the density of odd contacts decides
-WANDERING = 2 / 3  # a of n / L^a, on which s n^(1/2) depends
-# an interface that neither top nor bottom holds: layers of discs that roll at least, and their share of all at most
+# exponents a such that s depends on n / L^a, if the power of interfaces decides or the density of odd contacts does
+LANDSCAPE = {"square": 1 / 3, "triangular": 1 / 3, "cubic": 0.84}
+DIMENSION = {"square": 2, "triangular": 2, "cubic": 3}
+WANDERING = 2 / 3  # exponent a such that s n^(1/2) depends on n / L^a
+# neither top nor bottom holds an interface with at least so many layers of rolling discs, and at most this share of all
 FEWEST_LAYERS, LARGEST_SHARE = 2, 0.25
-ENOUGH = 20  # samples that a size in a fit needs: the scatter of five gives no error
-CROWDED = 2.0  # if n / L^WANDERING is larger the interface is confined
-SURE = 1e-6  # relative gap of minima of spheres; spheres with less of the top's spin are taken to be at rest
+ENOUGH = 20  # samples that a size in a fit needs: fewer give no reliable error
+CROWDED = 2.0  # the interface is confined if n / L^WANDERING is larger
+SURE = 1e-6  # relative gap of minima of spheres; spheres with a smaller share of the top's spin count as at rest
 
 
 def network(lattice: str, size: int, odd: int, bottom: float, seed: int) -> Packing:

@@ -43,12 +43,12 @@ STEPS = 1_000_000  # most time steps; most samples of 3x3x3 are certified within
 END = 1e-8  # proven gap at which a relaxation has ended
 RIGID_END = 1e-10  # proven gap at which a relaxation without springs has ended
 TIMES = np.append(0.0, np.geomspace(1e-6, 1e2, 601))  # times at which the power is recorded, in units of 1 / spin
-SPARE = 0.7  # share of the free memory that workers may take, so that others have some left
+SPARE = 0.7  # share of the free memory that workers may take
 SAME = 1e-6  # relative difference up to which two powers are taken for equal
 HERE = Path(__file__).resolve()
 SCANS = next(filter(Path.is_dir, (HERE.parent / "scans", HERE.parents[2] / "examples/studies")))  # in a wheel, or not
 LEAST_SEEDS = 4  # least number of seeds of a scan
-ANY = RunSettings(threads=1)  # settings of parts that solve no sample in particular
+ANY = RunSettings(threads=1)  # settings by which parts that solve no single sample are estimated
 
 
 class Table:
@@ -110,8 +110,8 @@ class Table:
 
         returns : for each value of `key`, from the least on, the values of `name` of the samples that have it.
         """
-        own = self.columns[key]
-        return {value.item(): self.columns[name][own == value] for value in np.unique(own)}
+        keys = self.columns[key]
+        return {value.item(): self.columns[name][keys == value] for value in np.unique(keys)}
 
     def only(self, names: str) -> dict[str, list[Any]]:
         """Return some columns as lists of plain Python numbers, by name.
@@ -143,7 +143,7 @@ def curves(seeds: Sequence[int], **columns: np.ndarray) -> Table:
     """Return quantities that change with time as a table with one row for each sample and time, sorted by sample.
 
     seeds : seed of each of the R samples.
-    columns : by name, arrays (times,) of what is the same for all samples, or (times, R). One of them is `time`.
+    columns : arrays (times, R) by name, or (times,) if all samples have the same values. One of them is `time`.
     """
     shape = (len(seeds), len(columns["time"]))
     rows = {name: np.broadcast_to(values.T, shape).ravel() for name, values in columns.items()}
@@ -214,7 +214,7 @@ def computed(parts: Sequence[Part], journal: Path, name: str, workers: int = 0) 
     missing = [part for part in parts if part.key not in known]
     units = [(part,) for part in missing]
     if workers == 0 and missing:
-        fitting = SPARE * free_bytes() / max(bytes_of(part.settings) for part in missing)  # workers in the memory
+        fitting = SPARE * free_bytes() / max(bytes_of(part.settings) for part in missing)  # workers that memory allows
         workers = paying_workers(missing, max(1, int(min(runtime.available_threads(), fitting))), structure=True)  # type: ignore[arg-type]
         units = units_of(missing, True, workers)  # type: ignore[arg-type, assignment]
     cost = {part.key: seconds_of(part.settings, structure=True) for part in missing}
@@ -412,8 +412,8 @@ class Run:
         at : times at which they are compared. Power is interpolated linearly between recorded times, and constant after
             the last.
         """
-        own, theirs = (run.power / run.power[0] for run in (self, other))
-        pairs = zip(own.T, theirs.T, strict=False)
+        ours, theirs = (run.power / run.power[0] for run in (self, other))
+        pairs = zip(ours.T, theirs.T, strict=False)  # the samples that both have
         return np.array([np.abs(np.interp(at, self.time, p) - np.interp(at, other.time, q)).max() for p, q in pairs])
 
 

@@ -178,10 +178,10 @@ def largest_slip_error(solution: Solution) -> float | None:
     contacts = None if judgement is None else Slipping.of(judgement.network.motion)
     if contacts is None or (near := nearest_minimum(contacts)) is None:
         return None
-    improved, turn = near
-    # Newton's method changed each slip by the share `moved`; the minimum is proven within the share `turn` of there
-    moved = np.abs(improved.size.value / contacts.size.value - 1)
-    return float((moved + turn * (1 + moved)).max(initial=0.0))
+    # relative changes of each slip: by Newton's method, and a bound on that from its result to the minimum
+    improved, to_minimum = near
+    by_newton = np.abs(improved.size.value / contacts.size.value - 1)
+    return float((by_newton + to_minimum * (1 + by_newton)).max(initial=0.0))
 
 
 def by_decade(descent: Ending, minimum: Ending) -> Table:
@@ -248,7 +248,7 @@ def draw_decades(named: Any) -> Figure:
     panels[1].set_title("(b) longest descent")
     for axes in panels[:2]:
         axes.set(xscale="log", yscale="log", xlabel=POWER, ylabel=COUNT)
-        axes.set_ylim(0.5, 300 * axes.dataLim.ymax)  # room for the legend
+        axes.set_ylim(0.5, 300 * axes.dataLim.ymax)  # the legend is above the data
         axes.legend(loc="upper left", fontsize="small")
     panels[2].plot(longest[slips], powers[0], ".", color=BLUE, ms=1.2, alpha=0.25, mew=0, rasterized=True)
     ends = [powers[0].min(), max(powers[0].max(), longest.max())]

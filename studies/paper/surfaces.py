@@ -30,7 +30,7 @@ from .samples import StudyResult, Table, drawn, measured, planned, shared_number
 SIDEWAYS = 0.5**0.5  # weight of a contact along x or y over that of one along z, for a jump along x + y
 ROUGHNESS, ENERGY = 0.41, 0.84  # zeta and theta of surfaces
 HELD = 1e3  # friction that a held cut cannot cross
-HEIGHT = 6.0  # of lattices that are cut, over L^ROUGHNESS, so that it confines cuts of all sizes alike
+HEIGHT = 6.0  # height of lattices that are cut, over L^ROUGHNESS: in units of the width of cuts it is the same for all
 PAPER_LOWEST = 0.1  # the paper's friction is uniform in [0.1, 1]
 BLOCK = 10  # cuts that are drawn together
 SIZES = {  # by lowest friction and by L of the cuts, samples for each sample of the effort
@@ -59,14 +59,14 @@ def cuts(length: int, lowest: float, samples: int, seed: int) -> dict[str, Any]:
     free cut would be the lightest of many surfaces, of fewer the rougher they are, which changes the law up to large
     sizes; a held one pays for each layer by which it leaves its contact in a spike.
     """
-    middle = round(HEIGHT / 2 * length**ROUGHNESS)
+    middle = round(HEIGHT / 2 * length**ROUGHNESS)  # half the height
     rng = np.random.default_rng([seed, length, round(1000 * lowest)])
     heights = (2 * middle, 2 * middle, 2 * middle - 1)
     x, y, z = (rng.uniform(lowest, 1.0, (samples, length, length, height)) for height in heights)
-    z[:, 0, 0] += np.where(np.arange(2 * middle - 1) == middle - 1, 0.0, HELD)
+    z[:, 0, 0] += np.where(np.arange(2 * middle - 1) == middle - 1, 0.0, HELD)  # one column has one contact to cross
     cut = minimum_cut((SIDEWAYS * x, SIDEWAYS * y, z))
-    course = np.count_nonzero(~cut.above, axis=3)
-    return {"weight": cut.weight.tolist(), "roughness": course.var(axis=(1, 2)).tolist()}
+    height_of_cut = np.count_nonzero(~cut.above, axis=3)
+    return {"weight": cut.weight.tolist(), "roughness": height_of_cut.var(axis=(1, 2)).tolist()}
 
 
 def numbers_of(structure: Structure) -> dict[str, Any]:

@@ -1,10 +1,10 @@
-"""Shortest paths across grids of faces, many grids at once: sweeps over the columns until no distance falls.
+"""Shortest paths across grids of faces, many grids at once: sweeps over the columns until no distance becomes shorter.
 
-A face is a square between four discs; a path over faces crosses the contacts of a cut. A step leads from a face to one
-beside it and costs the weight of the contact that it crosses. A column takes shorter distances from its neighbour, then
-its own faces from each other, up and down; columns whose neighbours have not changed are skipped. A path that reverses
-its direction n times takes n sweeps, and a lightest one seldom does: this is some ten times as fast as a queue of faces
-(numerics/planar/paths.py), but in floating point, so without proof.
+A face is a square between four discs; a path over faces crosses the contacts of a cut. A step leads from a face to an
+adjacent one and costs the weight of the contact between them. A sweep shortens the distances of one column after the
+other: first by steps from the neighbour column, then by steps within the column, up and down. Columns whose neighbours
+have not changed are skipped. A path that reverses its direction n times takes n sweeps, and lightest paths seldom do:
+this is some ten times as fast as a queue of faces (numerics/planar/paths.py), but in floating point, so without proof.
 
 Letters: B grids, w columns, h rows of discs.
 """
@@ -52,8 +52,8 @@ def crossings(sideways: np.ndarray, upward: np.ndarray, column: int) -> np.ndarr
 
 @ti.kernel
 def _sweep(found: WEIGHTS, inner: WEIGHTS, upward: WEIGHTS, unseen: CHANGES):
-    """Lower the distances by sweeps over the columns of each grid, rightward and leftward in turn, until none falls
-    any more.
+    """Shorten the distances by sweeps over the columns of each grid, rightward and leftward in turn, until none becomes
+    shorter.
 
     found : (B, w, h - 1) distances of the faces (squares between four discs) of B grids with w columns and h rows of
         discs from the outside on the left, changed in place.
@@ -63,28 +63,28 @@ def _sweep(found: WEIGHTS, inner: WEIGHTS, upward: WEIGHTS, unseen: CHANGES):
         column. Changed in place.
     """
     for grid in range(found.shape[0]):
-        columns, more = found.shape[1], 1
-        while more:
-            more = 0
+        columns, has_changed = found.shape[1], 1
+        while has_changed:
+            has_changed = 0
             for column in range(1, columns):
                 if unseen[grid, column - 1] & TO_THE_RIGHT:
                     unseen[grid, column - 1] -= TO_THE_RIGHT
-                    more |= _lower_column(grid, column, column - 1, column - 1, found, inner, upward, unseen)
+                    has_changed |= _shorten_column(grid, column, column - 1, column - 1, found, inner, upward, unseen)
             for back in range(1, columns - 1):
                 column = columns - 1 - back
                 if unseen[grid, column + 1] & TO_THE_LEFT:
                     unseen[grid, column + 1] -= TO_THE_LEFT
-                    more |= _lower_column(grid, column, column + 1, column, found, inner, upward, unseen)
+                    has_changed |= _shorten_column(grid, column, column + 1, column, found, inner, upward, unseen)
 
 
 @ti.func
-def _lower_column(
+def _shorten_column(
     grid: int, column: int, beside: int, contact: int,
     found: ti.template(), inner: ti.template(), upward: ti.template(), unseen: ti.template(),
 ) -> int:  # fmt: skip
-    """Lower the distances of a column of faces (squares between four discs) by paths through the column beside it, then
-    along the column, up and down. Return 1 if a path through the neighbour was shorter, else 0. All arrays are of B
-    grids with w columns and h rows of discs.
+    """Shorten the distances of a column of faces (squares between four discs) by steps from the neighbour column, then
+    by steps along the column, up and down. Return 1 if a step from the neighbour made one shorter, else 0. All arrays
+    are of B grids with w columns and h rows of discs.
 
     grid, column : indices of the grid and of the column.
     beside : index of the neighbour column.
@@ -95,19 +95,19 @@ def _lower_column(
         cross, and of the upward ones (B, w, h - 1).
     unseen : (B, w) bits that say which neighbours have not seen the last change of a column, changed in place.
     """
-    rows, nearer = found.shape[2], 0
+    rows, has_changed = found.shape[2], 0
     for row in range(rows):
-        way = found[grid, beside, row] + upward[grid, contact, row]
-        if way < found[grid, column, row]:
-            found[grid, column, row] = way
-            nearer = 1
-    if nearer:
+        distance = found[grid, beside, row] + upward[grid, contact, row]
+        if distance < found[grid, column, row]:
+            found[grid, column, row] = distance
+            has_changed = 1
+    if has_changed:
         unseen[grid, column] = TO_THE_RIGHT | TO_THE_LEFT
         for row in range(1, rows):
-            way = found[grid, column, row - 1] + inner[grid, column - 1, row - 1]
-            found[grid, column, row] = ti.min(found[grid, column, row], way)
+            distance = found[grid, column, row - 1] + inner[grid, column - 1, row - 1]
+            found[grid, column, row] = ti.min(found[grid, column, row], distance)
         for back in range(2, rows + 1):
             row = rows - back
-            way = found[grid, column, row + 1] + inner[grid, column - 1, row]
-            found[grid, column, row] = ti.min(found[grid, column, row], way)
-    return nearer
+            distance = found[grid, column, row + 1] + inner[grid, column - 1, row]
+            found[grid, column, row] = ti.min(found[grid, column, row], distance)
+    return has_changed

@@ -4,11 +4,11 @@ In two dimensions the least power is the minimum cut's whatever the distribution
 Equal coefficients, or two values, leave minima that tie; then the slipless network of the state found is one of many,
 and it is not judged.
 
-In staggered spins the planes are held at two constant vectors, and P depends on differences alone. So only the jump
-between them matters, its length is a factor of P, and mirrors change the sign of each component. Its component along
-the height drops out: contacts across the layers do not depend on it, so it may change from layer to layer at no cost.
-What is left is |d_x| : |d_y|, one angle from 0 to 90 degrees. Bearing states A + C x have a fourth number, C: where
-that of both planes differs, the jump varies over the plane.
+The planes have two constant staggered spins, and P depends on differences of staggered spins alone. So only the jump
+between the two matters. Its length is a factor of P, and mirrors change the sign of each of its components. Its
+component along the height has no influence: contacts between layers do not depend on it, so it may change from layer to
+layer at no cost. What is left is |d_x| : |d_y|, one angle from 0 to 90 degrees. Bearing states A + C x have a fourth
+number, C; if it differs between the planes, the jump varies over the plane.
 """
 
 from collections.abc import Callable, Mapping
@@ -167,8 +167,8 @@ def beside_reference(tables: Mapping[str, Table]) -> dict[str, Table]:
     reference = tables[REFERENCE].slipless.astype(bool)
     found = {}
     for name, table in tables.items():
-        own = table.slipless.astype(bool)
-        both, either = (own & reference).sum(axis=1), (own | reference).sum(axis=1)
+        slipless = table.slipless.astype(bool)
+        both, either = (slipless & reference).sum(axis=1), (slipless | reference).sum(axis=1)
         found[name] = table | {"changed": either - both, "overlap": both / either}
     return found
 

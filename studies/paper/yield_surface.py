@@ -79,7 +79,8 @@ def power_and_torque(settings: RunSettings) -> dict[str, Any]:
     structure = structure_of(solved(scene, InteriorPoint(settle=False), PROVEN_GAP))
     force = staggered_forces(structure.answer.friction, scene.lattice, scene.minimum_spin_axes)[:, 0]
     upright = scene.lattice.by_axis(scene.lattice.radius * force)[-1].mean(axis=-1)  # (C, nx, ny)
-    of_layers = np.zeros((2, scene.lattice.shape[0]))  # of the component across them
+    # row k: torques about axis k on the layers across that axis
+    of_layers = np.zeros((2, scene.lattice.shape[0]))
     for slot, component in enumerate(scene.minimum_spin_axes):
         of_layers[component] = upright[slot].sum(axis=1 - component)
     torque = [*of_layers.sum(axis=1), (of_layers @ offsets(scene.lattice.shape[0])).sum()]
@@ -140,9 +141,10 @@ def names_of(points: np.ndarray, power: np.ndarray, torque: np.ndarray) -> dict[
         return Table({"side": points[:, 0], "value": values}).by("value")
 
     x, y, both, c = (power[:, at[direction]] for direction in ((1, 0, 0), (0, 1, 0), (1, 1, 0), (0, 0, 1)))
-    left = (torque[:, at[1, BESIDE, 0], 1] / y + torque[:, at[BESIDE, 1, 0], 0] / x) / 2
+    # torque about one axis while the top rotates about the other, over the yield torque about it
+    crossed = (torque[:, at[1, BESIDE, 0], 1] / y + torque[:, at[BESIDE, 1, 0], 0] / x) / 2
     step = np.abs(torque[:, at[BESIDE, 0, 1], 0] - torque[:, at[0, 0, 1], 0]) / c
-    work = torque @ np.transpose(DIRECTIONS)  # (n, of the torque, direction)
+    work = torque @ np.transpose(DIRECTIONS)  # (n, directions of the torques, directions in which they do work)
     per_area = {
         name: of(values / unit) for name, values in (("x or y", (x + y) / 2), ("x + y", both / 2**0.5), ("C", c))
     }
@@ -151,7 +153,7 @@ def names_of(points: np.ndarray, power: np.ndarray, torque: np.ndarray) -> dict[
         "samples_of": {side: len(values) for side, values in square.items()}, "directions": len(DIRECTIONS),
         "beside": BESIDE, "above": float((work / power[:, None] - 1).max()),
         "apart": float(np.abs(np.einsum("ndd->nd", work) / power - 1).max()),
-        "crossed": of(left), "fading": exponent(of(1 - left), np.mean, further=()), "steps": of(step),
+        "crossed": of(crossed), "fading": exponent(of(1 - crossed), np.mean, further=()), "steps": of(step),
         "square": square, "circle": of(both / np.hypot(x, y)), "square_limit": limit(square),
         "squaring": exponent(of(1 - both / (x + y)), np.mean, further=()), "per_area": per_area,
         "limits_of": {name: limit(values) for name, values in per_area.items()},
@@ -188,8 +190,8 @@ def draw_yield_surface(named: Any) -> Figure:
             (axes[0, 0], np.arange(plane), [0, 1]),
             (axes[0, 1], np.r_[0, plane : len(power)], [0, 2]),
         ):
-            normal, reached = directions[here][:, pair], power[here]
-            corners = [np.linalg.solve(normal[k : k + 2], reached[k : k + 2]) for k in range(len(here) - 1)]
+            normal, least = directions[here][:, pair], power[here]  # no torque T has T . normal > least
+            corners = [np.linalg.solve(normal[k : k + 2], least[k : k + 2]) for k in range(len(here) - 1)]
             _draw_closed(panel, np.array(corners), "-", color=color, lw=0.4)
             _draw_closed(panel, torque[here][:, pair], "o-", color=color, ms=2, lw=0.9, label=f"L = {side}")
     x = power[0]

@@ -221,16 +221,16 @@ def _absent(case: Case, value: str, row: Row) -> Case:
     middle = tuple(n // 2 for n in lattice.shape)
     share = np.random.default_rng(11).uniform(0, 1, len(lattice.axis))
     upright = lattice.axis == lattice.height_axis
-    absent = {
+    is_absent = {
         "a tenth": share < 0.1, "a third": share < 1 / 3, "all": share < 1,
         "a sphere": (lattice.ends == np.ravel_multi_index(middle, lattice.shape)).any(axis=0),
         "a layer": upright & (lattice.ends[0] % lattice.shape[-1] == middle[-1] - 1),
     }[value]  # fmt: skip
-    left: dict[str, Any] = {
+    given: dict[str, Any] = {
         name: getattr(scene, name) for name in ("coefficients", "viscosity") if getattr(scene, name)
     }
-    left = {name: lattice.by_axis(np.where(absent, 0.0, lattice.flat(of))) for name, of in left.items()}
-    return replace(case, scene=replace(scene, **left))
+    changed = {name: lattice.by_axis(np.where(is_absent, 0.0, lattice.flat(of))) for name, of in given.items()}
+    return replace(case, scene=replace(scene, **changed))
 
 
 def _in_units(force: int = 0, length: int = 0, time: int = 0) -> Callable[..., Case]:
@@ -249,21 +249,21 @@ def _in_units(force: int = 0, length: int = 0, time: int = 0) -> Callable[..., C
         row : row of the report; its method tells which options are rescaled.
         name : parameter of the scene that is multiplied by the factor, such as "radius".
         """
-        two = 2.0 ** round(np.log2(value))
-        flow = two ** (force + time - length)  # factor of viscosities and dampers
+        factor = 2.0 ** round(np.log2(value))
+        flow = factor ** (force + time - length)  # factor of viscosities and dampers
         scene, owned = case.scene, options_of(ROWS[row.method])
-        changes: dict[str, Any] = {name: getattr(scene, name) * two} if name in Scene.PARAMETERS else {}
+        changes: dict[str, Any] = {name: getattr(scene, name) * factor} if name in Scene.PARAMETERS else {}
         # coefficients of friction have no unit; those of a viscous law have that of a damper
-        friction = two if name == "coefficients" else 1.0
+        friction = factor if name == "coefficients" else 1.0
         first = friction if scene.law.holds else flow
         changes["coefficients"] = tuple(values * first for values in scene.coefficients)
         changes["viscosity"] = tuple(values * flow for values in scene.viscosity)
-        scales = {"stiffness": two ** (force - length), "damping": flow, "mass": two ** (force + 2 * time - length)}
+        scales = {"stiffness": factor ** (force - length), "damping": flow}
+        scales["mass"] = factor ** (force + 2 * time - length)
         options = {key: owned[key].default * scale for key, scale in scales.items() if key in owned
                    and (key == "mass" or scene.law.holds)}  # fmt: skip
-        return replace(
-            case, scene=replace(scene, **changes), options=options, unit=two ** (force + length - time), scaled=scene
-        )
+        power = factor ** (force + length - time)
+        return replace(case, scene=replace(scene, **changes), options=options, unit=power, scaled=scene)
 
     return change
 
@@ -392,8 +392,8 @@ def _start(case: Case, value: str, row: Row) -> Case:
     """Return the case with other spins to start from, in the laboratory frame, 1/time: an array like the lattice, in 3D
     with a last axis of 3 components. Spins that are not finite must be refused.
 
-    value : "huge", "tiny", "opposite" (each sphere turns against what its neighbours would like), "not staggered" (all
-        alike), "NaN", "infinite", or else a start that the settings know by name, which is passed on.
+    value : "huge", "tiny", "opposite" (staggered against the sense of the driving), "not staggered" (all alike),
+        "NaN", "infinite", or else a start that the settings know by name, which is passed on.
     row : the method; only its dimension, 2 or 3, is used.
     """
     scene = case.scene
@@ -505,9 +505,9 @@ class Cell:
         return AXES[self.axis].change(base, self.value, self.row)
 
 
-QUICK = 25  # the quick form takes one of this many cells, so that it ends after about a minute
-QUICK_CELLS = 100  # of fewer cells, as of one axis, it takes more of them: about so many, or all
-FIRST = {"sides": 3, "drift": 1}  # number of values that it takes of axes that need patience
+QUICK = 25  # the quick form takes every 25th cell, so that it ends after about a minute
+QUICK_CELLS = 100  # but at least about so many cells, or all, if the user chooses few axes
+FIRST = {"sides": 3, "drift": 1}  # number of values that the quick form takes of axes that need patience
 
 
 def cells_of(rows: Sequence[Row], axes: Sequence[str], seed: int, quick: bool, seconds: float) -> list[Cell]:
@@ -517,8 +517,8 @@ def cells_of(rows: Sequence[Row], axes: Sequence[str], seed: int, quick: bool, s
     rows : combinations of method, law, dimension, device and precision.
     axes : names of the axes.
     seed : seed of the samples.
-    quick : take smaller samples and the first values alone of axes that need patience, and then only every QUICK-th
-        cell; of fewer axes more of the cells, about QUICK_CELLS.
+    quick : take smaller samples, only the first values of axes that need patience, and then only every QUICK-th cell,
+        or about QUICK_CELLS cells if these are more.
     seconds : time limit of a solve; it is multiplied by the patience of the axis, unless `quick`.
     """
     found = []

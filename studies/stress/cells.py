@@ -29,7 +29,7 @@ from .truth import SLIPLESS, SLIPPING, Truth, layered, least
 RIGHT, NOT_REACHED, REFUSED, WRONG, CRASH = OUTCOMES = ("right", "not reached", "refused", "wrong", "crash")
 TOLERANCE = 1e-8
 ROUNDING = 1e-13  # relative rounding of powers and bounds in double precision
-BELIEVED = 1e-4  # relative error with which a dynamics may say that it has come to rest, or to its duration
+BELIEVED = 1e-4  # largest relative error of a dynamics that is at the minimum: at rest, or when its time has passed
 MEMORY_SHARE = 0.7  # most of the free memory that a cell may be expected to need
 
 
@@ -129,13 +129,14 @@ class Judge:
         truth = self._truth(cell)
         row |= {"truth": float(truth.upper), "error": _error(truth, answer["objective"])}
         if truth.state:
-            true, said = cell.case.scene.lattice.flat(truth.state), np.array([int(digit) for digit in answer["state"]])
-            wrong = (true == SLIPPING) & (said == SLIPLESS) | (true == SLIPLESS) & (said == SLIPPING)
-            open_states = 0 if answer["states_proven"] else int((said != ContactState.DRIVEN).sum())
-            row |= {"states_wrong": int(wrong.sum()), "states_unproven": open_states}
+            true, found = cell.case.scene.lattice.flat(truth.state), np.array([int(digit) for digit in answer["state"]])
+            wrong = (true == SLIPPING) & (found == SLIPLESS) | (true == SLIPLESS) & (found == SLIPPING)
+            unproven = 0 if answer["states_proven"] else int((found != ContactState.DRIVEN).sum())
+            row |= {"states_wrong": int(wrong.sum()), "states_unproven": unproven}
         row["reason"] = _fault(truth, answer, row)
-        at_rest = answer["reached"] and (answer["status"] != "finished" or row["error"] <= BELIEVED)
-        return row | {"outcome": WRONG if row["reason"] else RIGHT if at_rest else NOT_REACHED}
+        # a dynamics that has reached its duration need not be at the minimum
+        at_minimum = answer["reached"] and (answer["status"] != "finished" or row["error"] <= BELIEVED)
+        return row | {"outcome": WRONG if row["reason"] else RIGHT if at_minimum else NOT_REACHED}
 
     def _truth(self, cell: Cell) -> Truth:
         """Return bounds of the least objective of a cell's sample, and the contact states at its minimum, in the units
@@ -184,7 +185,7 @@ def _fault(truth: Truth, answer: Mapping[str, Any], row: dict[str, Any]) -> str:
     if not answer["reached"]:
         return ""
     allowed = TOLERANCE if answer["status"] == "certified" else BELIEVED
-    if answer["status"] == "finished":  # its time has passed: how far it still is from rest, it says itself
+    if answer["status"] == "finished":  # a dynamics at its duration: its gap says how far from the minimum it may be
         allowed = inf if answer["gap"] is None else max(allowed, answer["gap"])
     if error is None or error > allowed * (1 + ROUNDING):
         return f"it is {row['status']} with an error of {nan if error is None else error:.1e}"

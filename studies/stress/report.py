@@ -71,9 +71,9 @@ class Sweep:
         """
         self.folder, self.cells, self.judge = folder, {cell.key: cell for cell in cells}, Judge()
         known = read_journal(folder / JOURNAL)
-        asked = [cell for cell in cells if known.get(cell.key, {}).get("version") == VERSION]
+        solved = [cell for cell in cells if known.get(cell.key, {}).get("version") == VERSION]
         self.lines = dict[str, Line]()
-        for cell in each(asked, "judging cell", alike):
+        for cell in each(solved, "judging cell", alike):
             with suppress(*UNREADABLE):
                 self.lines[cell.key] = self.judge.row(cell, known[cell.key])
 

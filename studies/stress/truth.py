@@ -1,10 +1,10 @@
 """The least power (or potential) of a sample in 140 decimal digits: a truth that shares no code with any solver.
 
-There are two ways to it. :func:`least` follows the central path of a small sample (minima of the cost plus a barrier
+It is found in two ways. :func:`least` follows the central path of a small sample (minima of the cost plus a barrier
 that goes to 0) in Python's decimals; the least value is enclosed by the cost of its spins from above and the work of
 its balanced forces from below. :func:`layered` is for samples of any size whose contacts along the height are alike in
-each layer: every column then does the same, no contact sideways slips or bears a force, and a column is a chain whose
-answer is written down.
+each layer: all columns then slip between the same layers, no contact sideways slips or bears a force, and the minimum
+of a column is known in closed form.
 
 The path goes to the middle of all minima: a contact slips at some minimum just if its slip has a limit above 0.
 (`tests/stress/minima.py` goes on from there to what all minima have in common.)
@@ -111,7 +111,7 @@ class Sample:
     jump : by spin component, spins of the top less those of the bottom, (columns,) or (1,) decimals.
     top : the same numbers in one row, column after column.
     unknowns : number of components of free spheres, which come first in `spin`.
-    low, up : (E contacts, C), index into `spin` of each component of the lower and of the upper sphere of a contact.
+    low, up : (E contacts, C), indices into `spin` of the components of the lower and of the upper sphere of a contact.
     makes_slip : (E, C), 1 for components that make the contact slip, else 0.
     a, c : (E, 1), energy/time: a contact with the slip d costs a |d| + c |d|^2 / 2.
     of : (E,), indices of these contacts among all contacts of the lattice: those without cost are left out.
@@ -124,7 +124,7 @@ class Sample:
         self.jump = jump_of(scene)
         count, free = len(self.jump), int(np.prod(shape[:-1])) * (shape[-1] - 2)
         self.unknowns = free * count
-        # place of each spin component in the array of spins: first the free ones, then the bottom's, then the top's
+        # index of each spin component in the array of spins: first the free ones, then the bottom's, then the top's
         place = np.empty((*shape, count), dtype=int)
         place[..., 1:-1, :] = np.moveaxis(np.arange(self.unknowns).reshape(-1, *shape[:-1], count), 0, -2)
         place[..., 0, :] = self.unknowns
@@ -232,11 +232,11 @@ def _solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     n, scale = len(right), matrix.diagonal().copy()
     matrix, x = matrix.copy(), right.copy()
     for k in range(n):
-        if matrix[k, k] <= scale[k] * Decimal("1e-90"):
+        if matrix[k, k] <= scale[k] * Decimal("1e-90"):  # no stiffness but for rounding
             matrix[k, k:], x[k] = Decimal(0), Decimal(0)
             continue
         share = matrix[k + 1 :, k] / matrix[k, k]
-        used = np.flatnonzero(share)  # of rows, and of columns: the matrix is symmetric
+        used = np.flatnonzero(share)  # rows that change, and columns: the matrix is symmetric
         below = k + 1 + used
         matrix[below[:, None], below] -= share[used, None] * matrix[k, below]
         x[below] -= share[used] * x[k]
@@ -264,18 +264,19 @@ def followed(scene: Scene, sample: Sample) -> tuple[Truth, Decimal]:
     sample : its spins and contacts as decimals. The spins are changed: they end at the minimum.
     """
     barrier = first = sample.cost() / len(sample.a)
-    steps, holds, before = 0, sample.a.any(), sample.spin
+    steps, has_friction, before = 0, sample.a.any(), sample.spin
     while True:
-        last = not holds or barrier < first * TARGET
+        is_last = not has_friction or barrier < first * TARGET  # without friction the cost needs no barrier
         decrement = sample.step(barrier)
         steps += 1
-        if decrement < (FINAL if last else CLOSE):
+        if decrement < (FINAL if is_last else CLOSE):
             lower, upper = sample.enclosure(barrier)
-            if last or upper < first * TARGET:
+            if is_last or upper < first * TARGET:
                 break
+            # the next barrier, from spins that are extrapolated: they are smooth functions of the barrier
             barrier *= SHRINK
             here = sample.spin
-            sample.spin = here + SHRINK * (here - before)  # spins are smooth functions of the barrier
+            sample.spin = here + SHRINK * (here - before)
             before = here
         if steps > MOST_STEPS:
             raise ArithmeticError(f"the bounds on the least power of {scene} are not close enough after {steps} steps")
@@ -347,6 +348,7 @@ def _chain(friction: list[Decimal], viscosity: list[Decimal]) -> Decimal:
     order = sorted(range(len(friction)), key=lambda k: friction[k])
     if not viscosity[order[0]]:
         return friction[order[0]]
+    # the force at which slips of the contacts of least friction add up to 1; one more slips if its friction is less
     compliance, shift = Decimal(0), Decimal(0)
     force = Decimal("Infinity")
     for k in order:
