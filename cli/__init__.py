@@ -2,4 +2,4 @@
 
 import time
 
-STARTED = time.perf_counter()  # when times begin; a tenth of a second that Python needs before is not counted
+STARTED = time.perf_counter()  # the start of all times that are reported, a tenth of a second after that of Python

@@ -55,8 +55,11 @@ class LazyGroup(click.Group):
     prepare: Callable[[], None] = staticmethod(lambda: None)
 
     def resolve_command(self, context: click.Context, words: list[str]) -> Any:
-        """Return what click needs to run the command that the first of the `words` names; for an unknown one the error,
-        raised in the context of click, names the command that was likely meant.
+        """Return what click's own method returns: name, command and the other words. The error for an unknown command
+        names the one that was likely meant.
+
+        context : of click.
+        words : the words of the command line from the name of the command on.
         """
         if words and words[0] not in COMMANDS and not words[0].startswith("-"):
             context.fail(f"No such command {words[0]!r}{meant(words[0], COMMANDS)}")
@@ -107,7 +110,7 @@ def main(prepare: Callable[[], None] | None = None) -> None:
         "HDF5_USE_FILE_LOCKING", "FALSE"
     )  # files are replaced in one move; some systems have no locks
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # users need no messages on its font cache
-    if os.path.lexists("matplotlibrc"):  # perhaps a stranger's file: some settings start programs
+    if os.path.lexists("matplotlibrc"):  # it may come from somebody else, and some settings start programs
         click.echo(
             "bearings: the file matplotlibrc in this folder is ignored; to use one, name it in the environment "
             "variable MATPLOTLIBRC",
@@ -120,7 +123,7 @@ def main(prepare: Callable[[], None] | None = None) -> None:
         finally:
             os.chdir(here)
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # a locale without a letter must not cost a result
+        if isinstance(stream, io.TextIOWrapper):  # letters that the locale lacks are escaped, and raise no error
             stream.reconfigure(errors="backslashreplace")
     try:
         code = _exit_code()
@@ -129,7 +132,7 @@ def main(prepare: Callable[[], None] | None = None) -> None:
     except Exception:
         if not leaving.has_raised():
             raise
-        code = _interrupted(INTERRUPTED)  # a library has made something else of it
+        code = _interrupted(INTERRUPTED)  # a library has turned the KeyboardInterrupt into another error
     interrupts.ignore_signals()
     if code == leaving.EXIT_CODE:
         leaving.end_now()
@@ -166,11 +169,11 @@ def _exit_code() -> int:
     except MemoryError as error:
         click.echo(f"bearings: not enough memory for this scene: {error}", err=True)
         return 1
-    except (BrokenPipeError, SystemExit):  # the reader of our output went away: click makes the latter of that alone
+    except (BrokenPipeError, SystemExit):  # the reader of our output has closed it; click may raise SystemExit for that
         sys.stdout, sys.stderr = sys.__stdout__, sys.__stderr__
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.__stdout__.fileno())
         return 0
     except OSError as error:
         click.echo(f"bearings: {BearingsError(str(error))}", err=True)
-        return 2 if error.errno == errno.ENAMETOOLONG else 1  # a name that was given
+        return 2 if error.errno == errno.ENAMETOOLONG else 1  # too long a name is an error of the user
     return code if isinstance(code, int) else 0

@@ -38,7 +38,7 @@ class Text(click.types.StringParamType):
 
 
 class FileName(Text):
-    """The type of a path; an option with an empty text is treated as not given."""
+    """The type of a path; an option whose value is an empty text counts as not given."""
 
     def convert(self, value: Any, parameter: click.Parameter | None, context: click.Context | None) -> Any:
         """Return the value as a path; None for an empty text, unless the parameter is an argument, which is not
@@ -77,7 +77,8 @@ class Choice(click.Choice):
             raise
 
 
-FILES, FILE_PATH, FOLDER_PATH = Text(), FileName(), FolderName()  # names of files as typed; paths of files, of folders
+FILES = Text()  # type of a name of a file that stays a text
+FILE_PATH, FOLDER_PATH = FileName(), FolderName()  # types of paths
 
 
 class SettingsCommand(click.Command):
@@ -96,8 +97,8 @@ class SettingsCommand(click.Command):
         return [*_settings_options((*METHODS, *LAWS)), *super().get_params(context), everything]
 
     def parse_args(self, context: click.Context, words: list[str]) -> list[str]:
-        """Return those `words` of a command line that are left after the options, which go into the context of click;
-        the error for an option that has another name here says that name.
+        """Return what click's own method returns: those `words` of a command line that are no options. The error for an
+        option that has another name here says that name.
         """
         try:
             return super().parse_args(context, words)
@@ -153,20 +154,20 @@ def _section_of(item: Option | None) -> str:
 
 @lru_cache(maxsize=8)
 def _settings_options(_: tuple[str, ...]) -> list[click.Option]:
-    """Return the settings of a run as options. The argument, names of methods and laws, is not used: it only makes the
-    cache depend on these, since others can register their own.
+    """Return the settings of a run as options.
 
-    _ : names of methods and laws, not used: the cache depends on them, since others can register their own.
+    _ : names of methods and laws. Users can register their own, so the cache has to depend on them.
     """
     options = []
     for key, item in settings_table().items():
         laws = users_of(item)[1]
         facts = [item.unit] if item.unit != "1" else []
         facts += [f"law {' or '.join(laws)}"] if len(laws) < len(LAWS) else []
-        own = {name: options_of(row)[key].default for name, row in METHODS.items() if key in options_of(row)}
-        defaults = {_shown(default) for default in own.values()} or {_shown(item.default)}
+        of_methods = {name: options_of(row)[key].default for name, row in METHODS.items() if key in options_of(row)}
+        defaults = {_shown(default) for default in of_methods.values()} or {_shown(item.default)}
         if len(defaults) > 1:
-            facts.append("default: " + ", ".join(f"{_shown(default)} with {name}" for name, default in own.items()))
+            words = (f"{_shown(default)} with {name}" for name, default in of_methods.items())
+            facts.append("default: " + ", ".join(words))
         elif defaults != {""}:
             facts.append(f"default: {defaults.pop()}")
         if key == "method":

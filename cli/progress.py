@@ -37,8 +37,8 @@ def in_lines(text: str, err: bool = False) -> str:
 
 
 def _indent(line: str, width: int) -> int:
-    """Return by how many letters the continuation of a long line is indented: as far as its last column, which two
-    spaces part from the others, if that leaves a third of the width; else four more than the line.
+    """Return by how many letters the continuation of a long line is indented: up to the last column of the line if a
+    third of the width is left there, else by four letters more than the line. Two spaces separate columns.
 
     line : the line.
     width : letters in a line of the terminal.
@@ -80,7 +80,7 @@ def describe_scan(progress: Any, samples: bool = False) -> str:
 
     progress : a :class:`taichi_bearings.scans.scan.ScanProgress`: numbers of samples, rate, time left, and what is
         being solved.
-    samples : name the samples that are being solved, too.
+    samples : True to name samples that are being solved, too.
     """
     words = [f"{progress.done:,} of {progress.total:,} samples"]
     words += [f"{progress.failed:,} failed"] if progress.failed else []

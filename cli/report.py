@@ -10,7 +10,7 @@ from taichi_bearings.quantities import Quantity
 from taichi_bearings.words import driving_words, listed, sized
 
 WIDEST_VALUE = 30
-"""Letters of the column of values at most; longer values push the words behind them to the right."""
+"""Most letters of the column of values; a longer value moves the words after it to the right."""
 
 
 def solved(report: Mapping[str, Any]) -> str:
@@ -66,8 +66,8 @@ def _values_of(rows: Iterable[Quantity], report: Mapping[str, Any]) -> Iterator[
     rows : quantities.
     report : object of `--json`, of one sample or of several.
     """
-    of = _of_several if _is_of_several(report) else _of_one
-    found = ((row, of(report[row.name])) for row in rows if row.name in report)
+    as_text = _of_several if _is_of_several(report) else _of_one
+    found = ((row, as_text(report[row.name])) for row in rows if row.name in report)
     return ((row, value) for row, value in found if value)
 
 

@@ -95,19 +95,20 @@ def command(
             return in_lines(f"{report}\n{describe_verdict(verdict)}" if verdict else report)
 
         answer(summary | ({"verification": verdict} if verdict else {}), as_json, words)
-        interrupts.ignore_signals()  # all is told
+        interrupts.ignore_signals()  # the report is printed
     if found.interrupted or unverified:
         context.exit(leaving.EXIT_CODE)
-    asked = Path(place or found.path).resolve()  # of a directory, or of the run.h5 in it that is resumed
-    is_there = found.path.resolve() in (asked, asked.parent)
-    context.exit(0 if found.reached and is_there and (verdict is None or verdict["verified"]) else 1)
+    # the user has named a directory, or the run.h5 in it that is resumed
+    asked = Path(place or found.path).resolve()
+    is_where_asked = found.path.resolve() in (asked, asked.parent)
+    context.exit(0 if found.reached and is_where_asked and (verdict is None or verdict["verified"]) else 1)
 
 
 UNVERIFIED = "\n  interrupted: the file is not verified"
 
 
 def _verified(folder: Path) -> tuple[dict[str, Any] | None, bool]:
-    """Return what `bearings verify` finds of a run, and False; if it is interrupted None, and True.
+    """Return the report of `bearings verify` on a run, None if it is interrupted, and True if it is interrupted.
 
     folder : the run directory.
     """
@@ -187,8 +188,8 @@ def describe_cost(report: dict[str, Any], is_chosen: bool = False) -> str:
 
 
 def _idle_seed(settings: Any, given: dict[str, Any]) -> list[str]:
-    """Return a list of sentences that warn of a --seed from which nothing is drawn; empty if there is nothing to warn
-    of.
+    """Return sentences that warn of a --seed from which nothing is drawn; an empty list if something is, or without
+    --seed.
 
     settings : settings of the run.
     given : the options that the user gave, by name.

@@ -99,7 +99,7 @@ def _solve(scan: Path, dry_run: bool, as_json: bool, asked: dict[str, Any]) -> i
     from taichi_bearings.scans.plan import read_plan
 
     path, folder = scan / "scan.toml" if scan.is_dir() else scan, asked["out"]
-    folder = scan if scan.is_dir() and folder is None else folder  # goes on there
+    folder = scan if scan.is_dir() and folder is None else folder  # the scan continues where it is
     merge, one_part, scheduler = asked["merge"], asked["part"] is not None, asked["scheduler"] is not None
     if scheduler and asked["workers"] is not None:
         raise InputError("with --scheduler the Dask cluster provides the workers; leave out --workers")
@@ -120,7 +120,7 @@ def _solve(scan: Path, dry_run: bool, as_json: bool, asked: dict[str, Any]) -> i
         with ScanDisplay() as display, connected(asked["scheduler"]) as client:
             report = study.scan(plan, folder, workers, display, client=client, part=part)
     answer(report, as_json, lambda: describe(report))
-    interrupts.ignore_signals()  # all is told
+    interrupts.ignore_signals()  # the report is printed
     done = report["reached"] == report["samples"] and not report["lacking"]
     return 130 if report["interrupted"] else 0 if done else 1
 
@@ -130,7 +130,7 @@ def _without_folder(scan: Path) -> InputError:
 
     scan : the path that the user gave.
     """
-    if scan.suffix != ".toml" and not scan.exists():  # the name of a folder, mistyped
+    if scan.suffix != ".toml" and not scan.exists():  # probably the mistyped name of a folder
         return InputError(
             f"there is no {scan}; --part and --merge need the folder of a scan, or its file and --out DIR"
         )
