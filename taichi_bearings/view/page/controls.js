@@ -123,13 +123,13 @@ class Controls {
       if (layers.includes("slipping")) choices.power = this.strongest(0.6 * MANY);
     }
   }
-  /** Place of the power slider that leaves about so many contacts of many. */
+  /** Return the position of the power slider at which about `left` slipping contacts are shown; 0 if there are few. */
   strongest(left) {
     const { sample, choices } = this, [least, most] = choices.range;
     const values = sample.valuesNow.filter((value, c) => sample.judged[c] === SLIPPING && value > 0).sort();
     return values.length <= MANY ? 0 : Math.ceil(100 * Math.log(values[values.length - left] / least) / Math.log(most / least));
   }
-  /** States anew, after a change of the threshold or of the time. */
+  /** Find contact states anew, after a change of the threshold or of the time. */
   judge() {
     const { sample, choices } = this, { facts } = sample, step = choices.threshold;
     sample.at(choices.time);
@@ -148,7 +148,7 @@ class Controls {
     this.show();
     this.keepLink();
   }
-  /** True if what this colouring tells is known now. */
+  /** True if a colouring is known of this sample and at this moment. */
   canColour(colour) {
     const { sample } = this;
     return sample.has(COLOURS.find(([key]) => key === colour)?.[2]) && (sample.isEnd || !OF_THE_END.colours.includes(colour));
@@ -186,7 +186,7 @@ class Controls {
     this.showTime();
     drawLegend(sample, choices);
   }
-  /** Write what is shown and from where behind the # of the address: there the page shows the same again. */
+  /** Write the choices and the camera behind the # of the address, so that this address shows the same picture again. */
   keepLink() {
     clearTimeout(this.linking);
     const { choices, picture: { camera, controls } } = this, camera_at = [camera.position, controls.target].flatMap((place) => place.toArray());
@@ -199,7 +199,7 @@ class Controls {
       } catch { /* a page within another may have no address */ }
     }, 200);
   }
-  /** Show what an address says, as far as this sample has it. */
+  /** Take choices and camera from the address, as far as this sample has what it names. */
   followLink() {
     const { sample, choices, picture: { camera, controls } } = this, said = new URLSearchParams(location.hash.slice(1));
     if (!said.has("camera")) return;

@@ -1,4 +1,4 @@
-/** Draws a sample as the choices say. */
+/** Draws a sample with the layers, colours and slices that the choices of the form name. */
 class Picture {
   constructor(sample, choices, canvas) {
     Object.assign(this, { sample, choices, canvas, layers: {}, shown: new Uint8Array(sample.spheres) });
@@ -40,16 +40,16 @@ class Picture {
     this.controls.update();
     this.draw();
   }
-  /** The squares of a layer, made when it is first shown. */
+  /** Return the squares of a layer; they are made when it is first shown. */
   squares(name, shaders, most = this.sample.lines) {
     const made = this.layers[name] ??= new Squares(this.scene, shaders, this.uniforms, most);
     if (this.sample.dimension === 2 && shaders === ROD) Object.assign(made.mesh, { renderOrder: this.isAcross(name) ? 1 : 2 }).material.depthTest = false;
     if (OVER.includes(name)) Object.assign(made.mesh, { renderOrder: 2 }).material.transparent = true;
     return made;
   }
-  /** Whether a layer lies across its contacts. */
+  /** True if a layer draws its contacts as something across them (plates, in 2D lines), not from centre to centre. */
   isAcross(name) { return ACROSS.includes(name) || (this.sample.dimension === 2 && name === "slipping"); }
-  /** What the slices leave, of each sphere. */
+  /** Set `shown` of each sphere: 1 if it lies between the chosen slices of all axes, else 0. */
   slice() {
     const { low, high } = this.choices;
     this.shown.fill(1);
@@ -62,7 +62,7 @@ class Picture {
     this.fillArrows();
     this.draw();
   }
-  /** The colour of a sphere, as a function. */
+  /** Return a function that gives the colour of a sphere by its number. */
   colourOf() {
     const { sample, choices } = this, { turn, spinNow: w, sphere_betweenness: share, size, domain, domain_size: members, body } = sample, { spin_max } = sample.facts;
     const chosen = sample.colouring(choices), listed = sample.listed(chosen);
@@ -71,7 +71,7 @@ class Picture {
       return (s) => colours[value[s]];
     }
     const grey = rgb(LOOK.plain), telling = TELLING.map(rgb);
-    if (chosen === "domain") {  // in the order of their sizes
+    if (chosen === "domain") {  // colours go to the domains in the order of their sizes
       const place = new Int32Array(members.length);
       [...members.keys()].sort((a, b) => members[b] - members[a]).forEach((label, n) => { place[label] = n; });
       return (s) => members[domain[s]] > 1 ? telling[place[domain[s]] % telling.length] : grey;
@@ -95,7 +95,8 @@ class Picture {
     }
     balls.end();
   }
-  /** Those with so many neighbours around them that what they in turn surround is not seen from anywhere. */
+  /** Return a mask of the spheres that have `facts.enclosing` neighbours in a mask. A sphere whose neighbours all have so
+   * many drawn ones cannot be seen. */
   inner(there) {
     const { first, second, over, contacts, facts } = this.sample, around = new Uint8Array(there.length);
     for (let c = 0; c < contacts; c++) {
@@ -120,10 +121,10 @@ class Picture {
     this.fill("bottlenecks", 3 * bold * thin, (c) => betweenness[c] > 0 && betweenness[c] >= bottleneck_share
       ? shade(sample.map_share, 1 - Math.log10(betweenness[c]) / SHARES) : null, (c) => bold * thin * (1.4 + 3 * Math.sqrt(betweenness[c] / busiest)));
   }
-  /** Boundaries are drawn around the spheres that are. */
+  /** True if the domain boundary at a contact is drawn: if one of its spheres is in a domain of a kind that is shown. */
   bounds(c) { const { kind, first, second } = this.sample; return this.choices.kinds[kind[first[c]]] || this.choices.kinds[kind[second[c]]]; }
-  /** One layer of contacts; colour : of a contact, null where it does not belong. radius : of spheres of size 1. In 2D
-   * lines lie on the discs, and what is across a contact is a line, too. */
+  /** Draw one layer of contacts. colour : function of a contact, null where it does not belong to the layer. radius : of
+   * a rod between spheres of size 1. In 2D lines lie on the discs, and what is across a contact is a line, too. */
   fill(name, radius, colour, radiusOf = null) {
     const { sample, choices, shown } = this, { place, way, size, over, first, second } = sample, flat = sample.dimension === 2, across = this.isAcross(name);
     const drawn = sample.draws(name, choices);
@@ -136,7 +137,7 @@ class Picture {
         if (!paint) continue;
         const smaller = Math.min(size[a], size[b]), wide = smaller * (flat && across ? FLAT[name] : radiusOf ? radiusOf(c) : radius);
         const u = way[3 * c], v = way[3 * c + 1], w = way[3 * c + 2], turned = smaller / (size[a] + size[b]);
-        for (let n = 0; n <= over[c]; n++) {  // from either centre to the contact, or from the first one through it
+        for (let n = 0; n <= over[c]; n++) {  // one line, or two from both centres to the contact across a periodic side
           const s = 3 * (n ? b : a), part = n ? -size[b] / (size[a] + size[b]) : over[c] || across ? size[a] / (size[a] + size[b]) : 1;
           const at = across ? part : part / 2, half = across ? turned : at, [x, y, z] = flat && across ? [-w, v, u] : [u, v, w];
           squares.put(c, place[s] + at * u, place[s + 1] + at * v, place[s + 2] + at * w, half * x, half * y, half * z, wide, paint);
@@ -145,7 +146,7 @@ class Picture {
     squares.end();
     if (name === "network" && !flat) squares.see(Math.max(FAINTEST, Math.min(1, 2 * MANY / squares.count)));
   }
-  /** The edges of the block, those of driven planes in their colours. */
+  /** Draw the edges of the block; those of driven planes have their colours. */
   frame() {
     const { sides, facts } = this.sample, number = sides.map(Math.ceil), squares = this.squares("frame", ROD, 4 * number.reduce((a, b) => a + b));
     squares.begin();
@@ -160,7 +161,7 @@ class Picture {
           }
     squares.end();
   }
-  /** The first corner of the block, and the ends of its edges along the axes, by their coordinates. */
+  /** Write the coordinates of the first corner of the block, and of the ends of its edges along the axes. */
   nameAxes() {
     const { slices, sides, dimension } = this.sample, along = dimension === 2 ? [0, 2] : [0, 1, 2];
     const corner = new THREE.Vector3(), name = (place, textContent) => {
@@ -173,12 +174,12 @@ class Picture {
     this.names = along.map((axis, k) => name(start(k).setComponent(axis, sides[k] / 2 + 0.03 * this.extent), `${"xyz"[k]} = ${slices[k].at(slices[k].steps)}`));
     this.names.push(name(corner.clone().multiplyScalar(1 + 0.04 * this.extent / corner.length()), slices.map(({ at }) => at(0)).join(", ")));
   }
-  /** Where a place of the world is on the canvas, in pixels from its upper left corner. */
+  /** Return where a place of the world is on the canvas, in pixels from its upper left corner. */
   seen(place) {
     const { x, y } = place.clone().project(this.camera), { clientWidth: width, clientHeight: height } = this.canvas;
     return [(x + 1) / 2 * width, (1 - y) / 2 * height];
   }
-  /** The picture as it is seen, with the names of its axes. */
+  /** Return the picture as it is seen, with the names of its axes, as the address of a PNG. */
   copy() {
     this.draw();
     const { canvas, names } = this, copy = Object.assign(document.createElement("canvas"), { width: canvas.width, height: canvas.height }), paper = copy.getContext("2d");
@@ -188,7 +189,7 @@ class Picture {
     for (const { place, text } of names) paper.fillText(text.textContent, ...this.seen(place).map((x) => x * ratio));
     return copy.toDataURL("image/png");
   }
-  /** The spins of the spheres of the path, as arrows. */
+  /** Draw the spins of the spheres of the path as arrows. */
   fillArrows() {
     const { sample, choices } = this, { path, place } = sample;
     for (const part of [...this.arrows.children]) { this.arrows.remove(part); part.dispose(); }
@@ -253,7 +254,8 @@ class Picture {
     this.controls.update();
     this.draw();
   }
-  /** The sphere or contact under a point of the canvas, by a line of sight: {sphere} or {contact}, null for neither. */
+  /** Return the sphere or contact under a point of the canvas, as {sphere} or {contact}; null for neither. It is the
+   * nearest one that the line of sight meets. */
   pick(x, y) {
     const ray = this.ray ??= new THREE.Raycaster(), { clientWidth: width, clientHeight: height } = this.canvas;
     ray.setFromCamera(new THREE.Vector2(2 * x / width - 1, 1 - 2 * y / height), this.camera);
@@ -261,7 +263,7 @@ class Picture {
     const pixel = 2 * Math.tan(this.camera.fov * Math.PI / 360) / height;  // its size at distance 1
     let nearest = Infinity, found = null;
     const keep = (distance, what) => { if (distance < nearest) { nearest = distance; found = what; } };
-    const before = this.sample.dimension === 2 ? 1e9 : 0;  // lines lie on discs
+    const before = this.sample.dimension === 2 ? 1e9 : 0;  // in 2D contacts lie in front of all discs
     for (const [name, { ids, count, place, way, wide, shaders }] of Object.entries(this.layers)) {
       if (name === "frame") continue;
       for (let n = 0; n < count; n++) {
@@ -295,23 +297,24 @@ class Picture {
   }
 }
 
-/** The colour of a map at a part of its length. */
+/** Return the colour of a colour map at a part of its length, from 0 to 1. */
 function shade(map, part) {
   const at = 3 * Math.round(255 * Math.min(1, Math.max(0, part)));
   return [map[at] / 255, map[at + 1] / 255, map[at + 2] / 255];
 }
 
-/** Least power, or slip, of the slipping contacts that are shown. */
+/** Return the least power, or slip, of the slipping contacts that are shown. */
 function weakest({ range: [least, most], power }) { return least * (most / least) ** (power / 100); }
 
-/** Distance along a line of sight d at which it meets a plate across n, whose middle is at q: a square, whose sides lie
- * along axes, or a disc; not a number where it does not. */
+/** Return the distance along a line of sight d at which it meets a plate, NaN if it does not. The plate has its middle at
+ * q and the normal n; it is a disc, or a square whose sides lie along axes. */
 function onPlate(q, d, n, radius, isRound) {
   const t = (q[0] * n[0] + q[1] * n[1] + q[2] * n[2]) / (d[0] * n[0] + d[1] * n[1] + d[2] * n[2]), off = q.map((x, k) => Math.abs(t * d[k] - x));
   return (isRound ? Math.hypot(...off) : Math.max(...off)) <= radius ? t : NaN;
 }
 
-/** The same for a rod of a radius that reaches as far as `half` from its middle. */
+/** Return the distance along a line of sight d at which it meets a rod, NaN if it does not. The rod has its middle at q, and
+ * the vector `half` leads from there to its end. ahead : the part of q along d. */
 function onRod(q, d, half, ahead, radius) {
   const reach = Math.hypot(...half), e = half.map((x) => x / reach), slope = d[0] * e[0] + d[1] * e[1] + d[2] * e[2], rest = 1 - slope * slope;
   const along = Math.max(-reach, Math.min(reach, rest < 1e-9 ? 0 : (ahead * slope - q[0] * e[0] - q[1] * e[1] - q[2] * e[2]) / rest));
@@ -319,7 +322,7 @@ function onRod(q, d, half, ahead, radius) {
   return gap[0] ** 2 + gap[1] ** 2 + gap[2] ** 2 < radius * radius ? t - radius : NaN;
 }
 
-/** Median time of a frame in milliseconds while the picture turns, with what it has drawn really there. */
+/** Return the median time of a frame in milliseconds while the camera turns; reading a pixel waits until it is drawn. */
 function frameTime(picture, frames = 20) {
   const gl = picture.renderer.getContext(), pixel = new Uint8Array(4), times = [], from = picture.camera.position.clone();
   for (let n = 0; n < frames; n++) {

@@ -1,5 +1,5 @@
-/** A bearing and what is known of it; what depends on the slip threshold or the time is found by `judge`.
- * In the world its middle is at 0, height up, and a sphere of median size 1 across. */
+/** A bearing and what is known of it; `judge` finds what depends on the slip threshold or the time.
+ * In coordinates of the picture ("world") its middle is at 0, its height is up, and a sphere of median size has diameter 1. */
 class Sample {
   constructor(facts, arrays) {
     const spheres = arrays.radius.length, contacts = arrays.slip.length, dimension = arrays.center.length / spheres;
@@ -11,7 +11,7 @@ class Sample {
     this.size = radius.map((r) => 2 * r / unit);
     this.place = new Float32Array(3 * spheres);
     this.way = new Float32Array(3 * contacts);  // from the first centre to the second
-    this.over = new Uint8Array(contacts);  // 1 over a periodic side: drawn as two parts, at both sides
+    this.over = new Uint8Array(contacts);  // 1 for contacts across a periodic side, which are drawn as two parts
     for (let c = 0, s = 0; c < contacts; c++) { s = first[c] += s; second[c] += s; }
     const axes = facts.steps.map((steps, k) => {
       let low = Infinity, high = -Infinity, least = Infinity, most = -Infinity;
@@ -24,7 +24,7 @@ class Sample {
       const step = (most - least) / steps || 1, cell = new Int16Array(spheres).map((_, s) => Math.round((center[spheres * k + s] - least) / step));
       return { side: (high - low) / unit, cell, steps: most > least ? steps : 0, at: (number) => (facts.origin[k] + least + number * step).toFixed(Math.min(20, Math.max(0, Math.ceil(-Math.log10(step))))) };
     });
-    this.slices = axes;  // along each axis: steps, in which of them each sphere lies, and where they are
+    this.slices = axes;  // for each axis: number of steps, step at which each sphere lies, and coordinate of a step
     this.sides = axes.map(({ side }) => side);
     for (let c = 0; c < contacts; c++) {
       const gap = [0, 1, 2].map((k) => this.place[3 * second[c] + k] - this.place[3 * first[c] + k] - this.way[3 * c + k]);
@@ -35,24 +35,24 @@ class Sample {
     this.judged = new Uint8Array(contacts);
     this.piece = new Uint8Array(spheres);
   }
-  /** Spins and slips at a moment, the last of which is the answer of the run. */
+  /** Set spins and slips to those of a moment: a snapshot, by its number, or after the last one the answer of the run. */
   at(moment) {
     const kept = moment < this.facts.times.length;
     this.isEnd = !kept;
     this.spinNow = kept ? this.snapshot_spin.subarray(3 * this.spheres * moment, 3 * this.spheres * (moment + 1)) : this.spin;
     this.slipNow = kept ? this.snapshot_slip.subarray(this.contacts * moment, this.contacts * (moment + 1)) : this.slip;
   }
-  /** What is drawn now of what was chosen: what is known of the end alone is not drawn of a snapshot. */
+  /** True if a layer is drawn now: if it was chosen, and is known at this moment; some are known of the end alone. */
   draws(layer, { layers }) { return layers[layer] && (this.isEnd || !OF_THE_END.layers.includes(layer)); }
   colouring({ colour }) { return this.isEnd || !OF_THE_END.colours.includes(colour) ? colour : "spin"; }
-  /** What colours slipping contacts: their power, or the slip where power is not kept. */
+  /** Values by which slipping contacts are coloured: power at the end, slip in snapshots, with which no power is kept. */
   get valuesNow() { return this.isEnd ? this.power : this.slipNow; }
-  /** Names and colours that a colouring tells apart, and which each sphere has; undefined if it has no such list. */
+  /** Table of names and colours of a colouring, and the number in it of each sphere; undefined for continuous colours. */
   listed(colour) {
     const named = (names, colours) => names.map((name, n) => [name, colours[n]]), { pieces, sides } = this.facts;
     return { kind: { table: KINDS, value: this.kind }, piece: { table: named(pieces, PIECES), value: this.piece }, side: { table: named(sides, SIDES), value: this.above } }[colour];
   }
-  /** Contact states by a slip threshold, or those of the run (null), and what the slipless ones join. */
+  /** Find contact states by a slip threshold (null for those of the run), and the pieces that slipless contacts join. */
   judge(threshold) {
     const limit = threshold ?? (this.isEnd ? null : this.facts.snapshot_threshold);
     this.counts = { slipless: 0, slipping: 0, undecided: 0 };
@@ -64,7 +64,7 @@ class Sample {
     }
     this.join();
   }
-  /** The pieces of the slipless network: the spheres of a driven body are one. */
+  /** Find the pieces of the slipless network by union-find; all spheres of a driven body belong to one piece. */
   join() {
     const { body, bodies, first, second } = this, root = Int32Array.from({ length: this.spheres }, (_, s) => s), touched = new Uint8Array(this.spheres);
     const find = (s) => { while (root[s] !== s) s = root[s] = root[root[s]]; return s; };

@@ -1,5 +1,6 @@
-// Everything is a square of two triangles. Those of spheres and rods face the eye, shaded as what they stand for; plates
-// lie across their contacts. All squares of a layer are one mesh: copies by the thousand are slow.
+// Everything is drawn as squares of two triangles. Squares of spheres and rods face the eye, and their shaders draw a
+// sphere or a rod on them; plates lie across their contacts. All squares of a layer are one mesh, which is faster than
+// thousands of copies of a square.
 const COMMON = `
   uniform float pixel, opacity;
   uniform vec2 fade;
@@ -94,7 +95,7 @@ const PLATE = {
     }`,
 };
 
-/** One layer of squares. */
+/** The squares of one layer, of which there are at most `most`: fill it by begin(), put(...) for each square, end(). */
 class Squares {
   constructor(scene, shaders, uniforms, most) {
     const shape = this.shape = new THREE.BufferGeometry(), index = new Uint32Array(6 * most);
@@ -118,14 +119,14 @@ class Squares {
     scene.add(this.mesh);
   }
   begin() { this.count = 0; }
-  /** How much of what is behind is hidden, 1 for all. */
+  /** Set the opacity of the layer: 1 hides everything behind it, less lets it shine through. */
   see(opacity) {
     this.mesh.renderOrder = opacity < 1 ? 1 : 0;
     this.mesh.material.uniforms.opacity.value = opacity;
     Object.assign(this.mesh.material, { transparent: opacity < 1, depthWrite: opacity === 1 });
   }
-  /** One of them, for the sphere or contact `id`, its middle at (x, y, z). u, v, w : half a rod, or across a plate.
-   * wide : diameter of a sphere, side of a plate, radius of a rod. */
+  /** Add the square of the sphere or contact `id`, with its middle at (x, y, z).
+   * (u, v, w) : vector along half a rod, or normal of a plate. wide : diameter of a sphere, side of a plate, radius of a rod. */
   put(id, x, y, z, u, v, w, wide, colour) {
     const n = this.count++, { place, way, paint } = this;
     for (let k = 4 * n; k < 4 * n + 4; k++) {
