@@ -7,10 +7,10 @@ of second-order cones: head not smaller than the length of the tail. Interior-po
 follow the central path, on which the product mu b - v . f is the same for all contacts, down to 0.
 Near its end resolution.py decides which contacts slip; its head explains how, with an example.
 
-Where to find what: contact_system.py and contraction.py the map from spins to slips, whole and with contacts tied;
-newton_matrix.py and rows.py the linear systems of a step; central_path.py the steps; descent.py many samples on their
-way; last_decades.py, polish.py, slipless_forces.py, ties.py and resolution.py the end; proximal.py and
-friction_stage.py steps in time; shared.py what samples of one network share; strong_contacts.py and rolling.py helpers.
+Files: contact_system.py has the map from spins to slips, contraction.py the same map with some contacts tied;
+newton_matrix.py and rows.py have the linear systems of a step, central_path.py the steps, descent.py the steps of many
+samples; resolution.py, last_decades.py, polish.py, slipless_forces.py, multipliers.py and ties.py find out which
+contacts slip; proximal.py and friction_stage.py make steps in time; shared.py keeps what samples of one network share.
 
 Units: spins in units of the imposed jump, friction and forces in units of the mean friction of the sample, so that
 numbers are of order one. A "torque over the mean friction" is therefore just a number.
@@ -23,7 +23,7 @@ here                is
 n                   contacts of a system; "(n,) mask" marks some of them
 d                   most slip components (rows) of a contact, 1 or 2
 unknowns            number of unknown components of the free spins
-S, samples          samples of one system, side by side
+S, samples          samples of one network that are computed together, on the last axis of arrays
 C, R, N, E          spin components, samples, spheres and contacts of a scene
 K, operator         matrix (d n, unknowns) from spins to slips; its transpose gives torques of forces
 difference          slips v (d, n): differences of spins across contacts
@@ -33,16 +33,18 @@ dual                minus the friction force, (d, n)
 viscosity           eta (n,), viscous force over slip speed
 margin              1 - |dual| / friction, the share of its friction that a contact has left
 product             friction times bound less slip times force, the same for all contacts on the path
-excess, gap         cost less what the forces prove; the same over the cost
-stick, slip         margin stays and slip vanishes at the end of the path, or the other way round
+cost                function that is minimised: the power, or with viscosity sum of mu |v| + eta |v|^2 / 2
+excess, gap         cost less the lower bound that the forces prove; excess over cost
+stick               of a contact: at the end of the path its slip vanishes and its margin stays above 0
+slip                of a contact: at the end of the path its slip stays and its margin vanishes
 decided             it is clear whether a contact sticks or slips
-tied                spins made equal across contacts that do not slip: one unknown for all of them;
-                    but a contact state TIED means: slips at some minima and rests at others
+tied                of a contact: the spins at its two ends are made equal, as one unknown;
+                    but the contact state TIED means: slips at some minima and rests at others
 at limit            contacts that bear all their friction and yet do not slip
 head                of a set of tied spins without a driven plane: one chosen spin of it;
-                    of a cone: bound or friction, while slip or force is its tail
+                    of a point in a cone: its first number, bound or friction; the tail is slip or force
 room                friction less the size of the force, (n,)
-smooth              contacts that have left their cones and obey the friction law exactly
+smooth              of a contact: in no cone any more; its force obeys the friction law exactly
 settle, resolve     to decide which contacts slip at the exact minimum
 staggered spins     spins with the sign of every second sphere changed, so that slips are differences
 Pair                sum of two doubles, (high, low): some 106 bits (numerics/double_double.py)

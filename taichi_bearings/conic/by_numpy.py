@@ -1,9 +1,12 @@
-"""Passes over the contacts by NumPy: for the first small samples of a process, with the same bits as by kernels.
+"""Passes over the contacts by NumPy instead of kernels, for the first small samples of a process; results have the same
+bits.
 
-To load a kernel takes a process 40 ms, as long as NumPy takes for a hundred passes over 10^3 spheres. So a single small
-sample is computed without the kernels of these passes, until NumPy has taken as long in this process as loading them
-takes. The laws of the contacts are executed from the source that the kernels are compiled from: with slices of a row,
-which has one number of every contact, in place of single numbers, and functions of NumPy in place of the compiler's.
+To load a kernel takes a process 40 ms, as long as NumPy takes for a hundred passes over 10^3 spheres. So single small
+samples are computed by NumPy, until that has taken as long in this process as loading the kernels takes.
+
+A pass calls one function, the *law*, for every contact. The kernels are compiled from the source of these laws. Here
+Python executes the same source: the index of a contact is replaced by a range of contacts, so that a law reads and
+returns arrays instead of single numbers, and functions of the compiler are replaced by those of NumPy.
 
 Letters: n contacts, with those that fill up blocks, as in conic/rows.py.
 """
@@ -25,7 +28,7 @@ LANGUAGE = SimpleNamespace(
     static=lambda value: value, cast=lambda value, kind: value, f64=None,
     abs=np.abs, sqrt=np.sqrt, max=np.fmax, min=np.fmin, select=np.where,
 )  # fmt: skip
-"""What the laws use of the compiler's language, for arrays."""
+"""The functions of the compiler that laws call, for arrays."""
 
 
 @dataclass
@@ -54,8 +57,8 @@ def kernels_are_loaded() -> None:
 
 @dataclass(frozen=True)
 class _Contacts:
-    """Some contacts that follow each other, as the index of a contact in a law: added to the place where a row begins
-    it is the slice of their numbers in this row.
+    """A range of contacts, passed to a law in place of the index m of one contact. A law reads flat[begin + m], where
+    `begin` is the place where a row begins; here begin + m is the slice of that row for all contacts of the range.
 
     first, end : the first contact, and the one after the last.
     """
@@ -64,32 +67,34 @@ class _Contacts:
     end: int
 
     def __radd__(self, begin: int) -> slice:
-        """Return the slice of the numbers of these contacts in a row.
-
-        begin : index of the number of contact 0 of the row.
-        """
+        """Return the slice of the numbers of these contacts in a row that begins at index `begin`."""
         return slice(begin + self.first, begin + self.end)
 
 
 @dataclass(frozen=True)
 class _Numbers:
-    """What a pass takes besides, such as the length of a step, as laws read it: number k of contact m at k * BLOCK + m.
+    """The constants of a pass, such as the length of a step, passed to a law in place of an array. In the array of a
+    kernel a law finds constant k of contact m at index k * BLOCK + m.
 
-    values : the numbers, which are the same for all contacts.
-    first : the first contact of those that the law is called for.
+    values : the constants, each the same for all contacts.
+    first : the first contact of the range that the law is called for.
     """
 
     values: list[float]
     first: int
 
     def __getitem__(self, place: "slice | _Contacts") -> float:
-        """Return the number that stands at a place: number 0 for contacts, else that of a slice."""
+        """Return the constant k at the index k * BLOCK + m, where m is a range of contacts.
+
+        place : that sum; it is a :class:`_Contacts` if nothing was added, k = 0, and a slice otherwise.
+        """
         return self.values[0 if isinstance(place, _Contacts) else (place.start - self.first) // kernels.BLOCK]
 
 
 @cache
 def _laws() -> dict[str, Any]:
-    """Return all names of the module with the laws of contacts, whose functions are executed by Python here."""
+    """Return the contents of the module that defines the laws, by name, with every function of the compiler's language
+    replaced by a Python function of the same source that calls NumPy."""
     found = dict(vars(kernels))
     for name, value in vars(kernels).items():
         source = getattr(value, "__wrapped__", None)  # of a function of the compiler's language
@@ -102,15 +107,15 @@ def _laws() -> dict[str, Any]:
 def run(
     kernel: kernels.Passes, flat: np.ndarray, length: int, second: int, slots: tuple[int, int], numbers: list[float]
 ) -> np.ndarray:
-    """Make one pass over all contacts of a sample: write what its law returns into rows, and return what it finds,
-    (FOUND, BLOCK), for each place of a block: least numbers first, then sums.
+    """Make one pass over all contacts of a sample: write what its law returns into rows. Return its results (FOUND,
+    BLOCK): minima, then sums, over every BLOCK-th contact, as kernels make them.
 
     kernel : the pass.
     flat : all rows, one after the other; changed in place. A row has one number of every contact.
     length : length of a row, n.
-    second : first contact with two slipping components.
-    slots : number (0 or 1) of the step whose rows the law reads, and of the one whose rows it writes.
-    numbers : what the pass takes besides.
+    second : first contact with two slip components; those before it have one.
+    slots : which of the two Newton steps in memory (0 or 1) the law reads, and which it writes.
+    numbers : constants of the pass.
     """
     SPENT.contacts += length
     law: Callable[..., list[np.ndarray]] = _laws()[kernel.law]
@@ -139,8 +144,8 @@ def run(
 
 
 def matrix_of(begins: np.ndarray, places: np.ndarray) -> sparse.csr_array:
-    """Return the sparse matrix, with entries 1 and -1, that stands in two tables of `kernels.add_up`. A product with it
-    has the same bits as this kernel.
+    """Return the sparse matrix, with entries 1 and -1, that two tables of the kernel `kernels.add_up` stand for. A
+    product with it has the same bits as the sums of that kernel.
 
     begins : where the entries of each row begin in `places`; one more than there are rows.
     places : for each entry its column, or the bitwise complement of its column for an entry -1.

@@ -1,13 +1,13 @@
 """Newton steps along the central path of a contact system: predictor, corrector, recentring.
 
-At a point of the path every contact has the same product of slip bound and friction margin. Mehrotra's predictor and
-corrector (1992) and Gondzio's further correctors (1996), in the Nesterov-Todd scaling, bring that product down by a
-factor of about five in a step, with one factorisation and a few solves.
+At a point of the path every contact has the same product, friction * bound - slip . force. Mehrotra's predictor and
+corrector (1992) and Gondzio's further correctors (1996), in the Nesterov-Todd scaling, reduce that product by a factor
+of about five in a step, with one factorisation and a few solves.
 
-Contacts can have a viscosity as well. The cost is then the sum of mu b + eta |v|^2 / 2 over bounds b >= |v|, and a
-contact bears the force of its cone and eta v. Nothing else changes: eta adds to the stiffness of the Newton matrix, and
-eta v to the torques that the forces leave. Cost less dual cost stays friction times slip less force times slip, summed
-over the cones.
+Contacts can have a viscosity eta as well. The cost is then the sum of mu b + eta |v|^2 / 2 over bounds b >= |v| of the
+slips v, and a contact bears eta v beside its force of friction. So eta is added to the stiffness of the Newton matrix,
+and eta v to the forces whose torques have to balance. The cost less the dual cost is, as without viscosity, the sum of
+friction times slip speed less force of friction times slip.
 
 Letters: n contacts with up to d slip components, S samples side by side (conic/__init__.py).
 """
@@ -23,20 +23,19 @@ from taichi_bearings.conic.newton_matrix import REFINEMENTS, NewtonMatrix
 from taichi_bearings.kernels import central_path as kernels
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 
-# Most of Gondzio's correctors, each of which costs a solve and saves part of a factorisation: pairs of the operations
-# that a factorisation takes for each number of the factor, and the number of correctors that is quickest up to there
-# (measured at 6^3 to 16^3 spheres); their number where frictions are decades apart, so that steps are short; and where
-# a factorisation takes ten solves or more
+# Largest number of Gondzio's correctors in a step. Each costs a solve and lengthens the step, which saves part of a
+# factorisation. MOST_CORRECTORS has pairs: operations of a factorisation for each number of the factor, and the number
+# of correctors that is quickest up to there (measured at 6^3 to 16^3 spheres). The other two numbers are for frictions
+# that are decades apart, so that steps are short, and for factorisations that take as long as ten solves or more.
 MOST_CORRECTORS, CORRECTORS_IF_UNEVEN, CORRECTORS_IF_COSTLY = ((60.0, 1), (110.0, 2), (np.inf, 3)), 3, 4
 # The next three and PRODUCT_SPREAD are usual values of such methods; they change the number of steps, not the result.
 FULL_STEP = 0.9  # step length beyond which no further corrector is tried
 LEAST_GAIN = 0.02  # gain in step length below which a corrector is dropped and none is tried after it
-# where a factorisation takes long, a corrector is taken by 1 or one of these shares: the last that makes a step longer
+# Shares of a corrector that are tried where a factorisation takes long (`Path._furthest`)
 SHARES = (0.75, 0.5, 0.25)
 STEP_SHARE = 0.95  # share of the way to the boundary of the cones that a step goes
 TINY = np.finfo(np.float64).tiny
-# stiffness along a slip, times the slip squared (or over the stiffness across), that keeps matrices regular; it slows
-# nothing down
+# LEAST_WORK / slip^2 is a weak stiffness along the slip, where friction has none; it keeps matrices regular
 LEAST_WORK = 1e-14
 # most refinements of the last solve; torque over the mean friction that needs none
 STEP_REFINEMENTS, STEP_TORQUE = 4, 1e-11
@@ -97,8 +96,8 @@ def flowing(
     spins: np.ndarray,
     inertia: Inertia | None = None,
 ) -> np.ndarray:
-    """Return spins (unknowns,) at which the torques of viscous forces alone balance, refined as long as that helps. A
-    central path that begins at these spins has balanced torques from its first point on.
+    """Return spins (unknowns,) at which the torques of viscous forces alone balance, refined as long as each solve at
+    least halves them. A central path that begins at these spins has balanced torques from its first point on.
 
     system : the n contacts.
     viscosity : (n,), viscous force over slip speed.
@@ -125,18 +124,20 @@ def flowing(
 def balance(
     iterate: Iterate, matrix: NewtonMatrix, share: float = STEP_SHARE, rounds: int = 1, solves: int = REFINEMENTS
 ) -> Iterate:
-    """Return a point of the central path with its contact forces changed by fictitious springs at the contacts such
-    that torques balance, up to rounding, as far as friction allows.
+    """Return a point of the central path whose contact forces are changed such that torques balance, up to rounding.
+    Forces stay below friction; if that does not allow balance within `rounds` rounds, torques are only reduced.
+
+    Why this is needed: stiff contacts magnify the rounding of spins; with friction over six decades a Newton step
+    leaves torques of 1e-8. The changes are forces of fictitious springs at the contacts, each with the stiffness
+    (friction - |force|)^2.
 
     iterate : a point of the path; not changed.
     matrix : matrix of springs at its contacts (`Surroundings.springs`), which is factorised anew in each round.
-    share : in a round all forces change by at most this share of the way at which the first one reaches its friction.
-    rounds : largest number of rounds; the last one is that in which all torques balance.
-    solves : number of solves in a round; those after the first take away what rounding leaves.
+    share : in a round all forces change by at most this share of the change at which a first one reaches its friction.
+    rounds : largest number of rounds.
+    solves : number of solves in a round; those after the first correct the rounding.
 
-    The stiffness of a spring is the square of the friction margin, friction less size of the force. Why forces are
-    balanced: stiff contacts magnify the rounding of spins; with friction over six decades a Newton step leaves torques
-    of 1e-8. Raises NotPositiveDefinite if the forces cannot be balanced.
+    Raises NotPositiveDefinite if the matrix of springs is singular.
     """
     friction, dual, none = iterate.friction, iterate.dual, np.zeros_like(iterate.friction)
     load = iterate.to_balance(iterate.spins)
@@ -208,11 +209,11 @@ class _Step:
 
 
 class Path:
-    """Up to S samples of one system side by side, each at a point of its central path.
+    """Up to S samples of one system, each at a point of its central path, on which friction * bound - slip . force, the
+    *product*, is the same for all contacts. Samples do not influence each other.
 
-    On the path friction * bound - slip . force, called the product, is the same for all contacts. Numbers stay in the
-    rows of memory that kernels work on from step to step: one number for each contact and sample in a row. Samples do
-    not influence each other.
+    All numbers stay, from step to step, in the memory that kernels work on: a row for each kind of number, with one
+    number for each contact and sample.
 
     samples : S.
     used : (S,) mask of the places that hold a sample.
@@ -224,19 +225,20 @@ class Path:
         samples : number of places, 1 or LANES, the number of lanes of a SIMD vector.
         """
         self.samples, self._matrix, self._rows = samples, matrix, matrix.rows(samples)
-        # by place, what a sample has at all points of its path; None: free
+        # by place: the sample without its spins, slips and forces, which are in memory; None for a free place
         self._given: list[Iterate | None] = [None] * samples
         self._spins = self._spins_before = np.zeros_like(self._rows.spins)  # (unknowns or more, S), now and a step ago
-        # whether spheres have inertia; whether primal and dual points have to go equally far (inertia or viscosity)
+        # True if spheres have inertia; True if primal and dual steps need the same length (inertia or viscosity)
         self._moving = self._together = False
         self._inertia = 0.0  # weight of the inertia, which is added to the diagonal of the Newton matrix
-        # viscosity: (2 * contacts, S), factors of both components of the slips; the same as stiffnesses of contacts
+        # viscosities, (2 * contacts, S), one for each slip component; and as stiffness matrices, `stacked`
         self._viscosity: np.ndarray | None = None
         self._viscous: Viscous = None
-        # (S,) each, after a step: sum of friction * slip; that less the work of the forces; price of unbalanced torques
+        # (S,) each, after a step: the power, which is the sum of friction * slip; and that less the work of the forces
         self._power, self._excess = np.zeros((2, samples))
         self._most_correctors = np.zeros(samples, dtype=np.int64)  # (S,)
-        self._gaps, self._price = [np.inf] * samples, list[float]()  # relative gaps; prices over the cost, if known
+        # after a step, by sample: relative gap; and what `price_of_torques` returns, empty until it is called
+        self._gaps, self._price = [np.inf] * samples, list[float]()
 
     @property
     def used(self) -> np.ndarray:
@@ -265,7 +267,7 @@ class Path:
         self._spins[rows.place, sample], self._most_correctors[sample] = iterate.spins, self._correctors_for(iterate)
         self._inertia = iterate.inertia.weight if iterate.inertia else 0.0
         self._moving = iterate.inertia is not None
-        # spins and forces that balance each other go on together
+        # forces balance torques that depend on the spins, so both have to change by the same length of the step
         self._together = iterate.inertia is not None or iterate.viscosity is not None
         if iterate.viscosity is not None:
             stiffness = stacked(isotropic(iterate.difference, iterate.viscosity))
@@ -306,11 +308,11 @@ class Path:
         return taken
 
     def _with_correctors(self, step: _Step, target: np.ndarray, going: np.ndarray) -> _Step:
-        """Return the step of all samples after Gondzio's correctors, sample by sample, as long as each makes the step
-        longer.
+        """Return the step of S samples after Gondzio's correctors. A sample gets correctors as long as each lengthens
+        its step by LEAST_GAIN or more.
 
-        step : the step of S samples before.
-        target : (S,), product of slip bound and friction margin to aim at.
+        step : the step before.
+        target : (S,), product friction * bound - slip . force to aim at.
         going : (S,) mask of the samples to correct.
         """
         rejected = np.zeros_like(going)
@@ -322,18 +324,16 @@ class Path:
             rejected = going & (further.reach < step.reach + LEAST_GAIN)
             step = further.with_samples_of(rejected, step) if rejected.any() else further
             going = going & ~rejected
-        # Of rejected samples the better step is in the rows of the other one of the two steps in memory.
+        # The better step of a rejected sample is in the other one of the two places in memory.
         for sample in np.flatnonzero(rejected).tolist():
             self._rows.copy_step(1 - step.slot, step.slot, sample)
         return step
 
     def _correctors_for(self, iterate: Iterate) -> int:
-        """Return the largest number of Gondzio's correctors in a step of a sample. A corrector is a further solution
-        with the factorised matrix, which lengthens the step; more of them would take longer than the factorisations
-        that they save. That number is larger where a factorisation takes longer, and where frictions are decades apart,
-        as steps are short there.
+        """Return the largest number of Gondzio's correctors in a step of a sample, by the table MOST_CORRECTORS. It is
+        larger where a factorisation takes longer, and where frictions are decades apart, because steps are short then.
 
-        iterate : the point where the path of the sample begins; its frictions are looked at.
+        iterate : the point where the path of the sample begins; its frictions are used.
         """
         if self._matrix.is_costly:
             return CORRECTORS_IF_COSTLY
@@ -342,13 +342,12 @@ class Path:
         return next(most for operations, most in MOST_CORRECTORS if self._matrix.operations_per_number <= operations)
 
     def _furthest(self, step: _Step, further: _Step) -> _Step:
-        """Return the step that goes furthest among `further` and mixtures step + share * (further - step) of two steps,
-        with shares from SHARES. Shares are tried from the largest on, as long as the step gets longer (Colombo &
-        Gondzio, Comput. Optim. Appl. 41, 2008). Where a factorisation is quick no mixture is tried, as that would not
-        pay.
+        """Return the step that goes furthest among `further` and the mixtures step + share * (further - step), with the
+        shares of SHARES (Colombo & Gondzio, Comput. Optim. Appl. 41, 2008). Shares are tried from the largest on, as
+        long as the step gets longer; none is tried where a factorisation is quick, as that would not pay.
 
-        step, further : two steps from one point, in the two places in memory. The result overwrites `further` there.
-            Every mixture of them leaves torques balanced.
+        step, further : two steps from one point, in the two places in memory, both with balanced torques. The result
+            overwrites `further` there.
         """
         best, taken = further, 1.0
         for share in SHARES if self._matrix.is_costly else ():
@@ -365,10 +364,10 @@ class Path:
         return best
 
     def _target(self, step: _Step) -> np.ndarray:
-        """Return the product friction * bound - slip . force (S,) that the next step of each of S samples aims at.
+        """Return the product friction * bound - slip . force (S,) that the next step of each of S samples aims at: x^2
+        / 4 of the present mean product, if the predictor would leave a share x of it. (Mehrotra takes x^3.)
 
-        The predictor `step` aims at 0 and would leave a share x of the present mean product. The target is x^2 / 4 of
-        that mean. (Mehrotra takes x^3. The smaller x is, the better the predictor.)
+        step : the predictor, a step towards the product 0.
         """
         count = np.array([max(1, iterate.in_cones) if iterate else 1 for iterate in self._given])
         product, by_reach, by_dual_reach, by_both = step.found[kernels.PRODUCT :]
@@ -379,15 +378,15 @@ class Path:
         return found
 
     def _recentred(self, step: _Step, target: np.ndarray, going: np.ndarray, rejected: np.ndarray) -> _Step:
-        """Return the step after one of Gondzio's correctors. For each contact it is computed which product, friction *
-        bound - slip . force, a somewhat longer step would lead to. Where that is more than a factor PRODUCT_SPREAD away
-        from the target, the corrector brings it closer.
+        """Return the step after one of Gondzio's correctors. First the product friction * bound - slip . force of each
+        contact after a somewhat longer step is computed. Where it differs from the target by more than a factor
+        PRODUCT_SPREAD, the corrector brings it closer.
 
         step : the present step of S samples.
         target : (S,), product to aim at.
-        going : (S,) mask of the samples that are corrected. The others keep a step.
-        rejected : (S,) mask: of the samples that are not corrected these keep the step before the present one, which
-            lies in the other place in memory.
+        going : (S,) mask of the samples that are corrected.
+        rejected : (S,) mask of the samples, not in `going`, that keep the step before the present one, which is in the
+            other place in memory. The others keep the present step.
         """
         lengths = np.minimum(1.0, 1.5 * step.lengths + 0.1)
         other = np.where(rejected, kernels.AS_WRITTEN, kernels.AS_READ)
@@ -397,9 +396,12 @@ class Path:
         return self._solved(1 - step.slot)
 
     def _refined(self, step: _Step) -> _Step:
-        """Return the step of all samples after iterative refinement: rounding leaves torques, for which the linear
-        system is solved again. This is repeated, at most STEP_REFINEMENTS times, as long as it at least halves the
-        torques and they are above STEP_TORQUE, in units of the mean friction."""
+        """Return the step of all samples after iterative refinement: the linear system is solved again for the torques
+        that rounding leaves, at most STEP_REFINEMENTS times, as long as these are above STEP_TORQUE (in units of the
+        mean friction) and were halved.
+
+        step : the step before.
+        """
         rows, last, going = self._rows, np.full(self.samples, np.inf), self.used
         for _ in range(STEP_REFINEMENTS):
             rows.add(kernels.DUAL, _row_of_step(step.slot, kernels.DUAL_STEP), kernels.FORCE)
@@ -433,9 +435,9 @@ class Path:
         return self._expanded(slot)
 
     def _imbalance(self, row: int, spins: np.ndarray) -> None:
-        """Compute for each unknown spin the torque that contact forces leave over, and write it into `self._rows.spins`
-        (unknowns or more, S samples), from which the next solve reads its right-hand side. With inertia the torque that
-        accelerates the sphere is subtracted.
+        """Compute for each unknown spin the torque of the contact forces, less the torque that accelerates the sphere
+        if it has inertia. Write it into `self._rows.spins` (unknowns or more, S samples), the right-hand side of the
+        next solve.
 
         row : row of memory with the first component of the contact forces; the row after it has the second one.
         spins : (unknowns or more, S), spins at the end of the step in time; read only if spheres have inertia.
@@ -448,12 +450,11 @@ class Path:
                     rows.spins[rows.place, sample] -= iterate.to_balance(spins[rows.place, sample])
 
     def _expanded(self, slot: int) -> _Step:
-        """Return the whole Newton step of all samples, once its changes of the spins are solved for. Computed from
-        these are the changes of slips, bounds and forces, and the two lengths to which primal and dual points stay in
-        their cones. With inertia or viscosity both points have to go equally far, and the smaller length counts for
-        both.
+        """Return the whole Newton step of all samples from its changes of the spins, which `self._rows.spins` holds.
+        The changes of slips, bounds and forces follow from these, and so do the lengths at which primal and dual points
+        leave their cones. With inertia or viscosity the smaller length counts for both.
 
-        slot : 0 or 1, the place in memory that gets the changes of slips, bounds and forces.
+        slot : 0 or 1, the place in memory into which the changes of slips, bounds and forces are written.
         """
         spins = self._rows.spins.copy()
         self._rows.change(_row_of_step(slot, kernels.CHANGE))
@@ -519,8 +520,7 @@ class Path:
 
 
 def _without_point(iterate: Iterate) -> Iterate:
-    """Return an iterate with the system, the friction and all else that stays along its path, but with empty arrays in
-    place of its spins, bounds, slips and forces, which would take memory."""
+    """Return a copy of an iterate with empty arrays as spins, bounds, slips and forces, which saves memory."""
     none = np.zeros((len(iterate.difference), 0))
     return replace(iterate, spins=none[0], bound=none[0], difference=none, dual=none)
 

@@ -1,12 +1,13 @@
 """The unknown spins of a problem, and the slips that they make: slip = K x + b for each contact.
 
-The unknowns x are components of the spins of free spheres; K is a sparse matrix and b what imposed spins contribute. A
-row of K is one slip component of one contact. In a network of any kind the rows lie along the tangents of its contacts
-(:meth:`ContactSystem.of`). Where components of the spins do not mix and no loop of contacts is odd, signs by which
-neighbours differ turn sums of spins into differences, and a row is the difference of two unknowns
-(:meth:`ContactSystem.signed`). For a lattice such rows follow from its strides (:func:`lattice_system`): staggered
-spins are measured from the bottom plane in units of the imposed jump, forces in units of the sample's mean coefficient
-times the normal force, so that every number is of order one whatever units the scene is in.
+The unknowns x are components of the spins of free spheres; K is a sparse matrix, and b is what imposed spins
+contribute. A row of K belongs to one slip component of one contact. There are three forms of rows:
+
+* in any network a slip component is that along a tangent of the contact (:meth:`ContactSystem.of`);
+* where components of the spins do not mix and no loop of contacts is odd, the spins get signs, opposite for neighbours,
+  so that a row is the difference of two unknowns (:meth:`ContactSystem.signed`);
+* the rows of a lattice are such differences too, and follow from the indices of its spheres (:func:`lattice_system`).
+  Staggered spins are measured from the bottom plane, in units of the imposed jump.
 
 Letters: R samples, N spheres, E contacts, C spin components, D dimensions; n contacts of a system, of which d is the
 most slip components that one has (equations.md). Vectors across contacts are (d, n): a contact with fewer components
@@ -29,7 +30,8 @@ from taichi_bearings.numerics.graphs import odd_pieces
 from taichi_bearings.scene.bearing import Bearing
 from taichi_bearings.scene.network import Network
 
-OF_ROWS = ("operator", "transposed", "across", "feels")  # properties that do not depend on the imposed spins
+# cached properties that stay when imposed spins change
+OF_ROWS = ("operator", "transposed", "across", "feels")
 
 
 def _nothing() -> np.ndarray:
@@ -54,15 +56,14 @@ class ContactSystem:
     contact : (n,), numbers of the contacts in the network.
     slot : (d, n), for each row the number of the spin component (normals along the axes) or of the tangent (others).
     place : (D dimensions, unknowns), where the sphere of each unknown is.
-    offset_rest : (d, n), what `offset` lacks: both added are what imposed spins contribute in twice the precision. None
-        where `offset` is exact.
+    offset_rest : (d, n), low parts of `offset` as sums of two doubles; None where `offset` is exact.
     whole : the network whose contacts these are; None for a lattice, whose neighbours follow from their indices.
     sphere : (unknowns,), the sphere of each unknown.
     moved : (N, C), number of each unknown, -1 where the spin is imposed, or held at 0.
     known : (N, C), u = radius * spin where it is not unknown.
     sign : (N, C), factors +1 and -1 that turn u into unknowns; None for all 1.
-    motions : number of independent motions in which no contact slips, before one spin of each was held at 0, so that
-        they are left out; None if it was not counted.
+    motions : number of independent motions without slip that the spheres would have if one spin of each motion were not
+        held at 0; None if they were not counted.
     """
 
     unknowns: int
@@ -86,17 +87,16 @@ class ContactSystem:
         """Return the system of a bearing, with rows along the tangents of contacts.
 
         Contacts are those with a friction or damping above 0 in some sample and a free sphere, in connected parts that
-        touch a driven sphere. The unknowns are u = radius * spin of the free spheres in these parts. Of each motion
-        that makes no contact slip one spin is left out.
+        touch a driven sphere. The unknowns are u = radius * spin of the free spheres in these parts. For each motion
+        that makes no contact slip one spin is held at 0 and left out.
         """
         found = cls.before_motions(bearing)
         return found if found.motions is not None else found.without_motions()
 
     @classmethod
     def before_motions(cls, bearing: Bearing) -> "ContactSystem":
-        """Return the system of a bearing, with rows along the tangents of contacts. Where contacts are not all along
-        the axes, motions of spheres that make no contact slip are still among the unknowns, and the field `motions` is
-        None."""
+        """Return the system of a bearing, with rows along the tangents of contacts. If contacts are not all along the
+        axes, spheres may still have motions that make no contact slip; then the field `motions` is None."""
         network, contact = bearing.network, bearing.acting
         moves = network.reached(contact)
         contact = contact[moves[network.contact[:, contact]].any(axis=0)]
@@ -236,11 +236,13 @@ class ContactSystem:
         return np.where(self.moved >= 0, own if self.sign is None else self.sign * own, self.known)
 
     def to_all_digits(self, spins: Pair) -> np.ndarray:
-        """Return the slips (d, n) of n contacts with up to d components, to all digits of a double even where spins
-        nearly cancel: they are computed in sums of two doubles. Tangents are rounded, so that a spin along the normal
-        would seem to make some slip; for spheres the part along the normal, as it is stored, is taken out before.
+        """Return the slips (d, n) of n contacts with up to d components, correct to all digits of a double even where
+        spins nearly cancel. They are computed in sums of two doubles.
 
         spins : (unknowns,), values of the unknown spins as sums of two doubles.
+
+        With tangents t, which are rounded, t . (u_i + u_j) of spheres i and j would have an error from the part of the
+        spins along the normal n. So the slip is computed as (u_i + u_j) x n, and then turned back and projected on t.
         """
         if self.ends is not None:
             return self.precise_differences(spins)
@@ -259,9 +261,9 @@ class ContactSystem:
         return np.asarray(np.einsum("tek,ek->te", self.across, np.cross(normal, slip)))
 
     def on_contacts(self, forces: np.ndarray) -> np.ndarray:
-        """Return for each of the E contacts of the network the torque over radius that its force exerts on both its
-        spheres, by spin component, (E, C): T^T f, where the tangents T give the slip T (u_i + u_j) of spheres i and j.
-        It is 0 at contacts that are not in the system.
+        """Return T^T f for each of the E contacts of the network, (E, C) by spin component: the torque over radius that
+        the force f exerts on either sphere. T are the tangents, which give the slip T (u_i + u_j) of spheres i and j.
+        Contacts that are not in the system have 0.
 
         forces : f, (d, n), on the n contacts of the system, one component along each of up to d tangents.
         """
@@ -295,17 +297,17 @@ class ContactSystem:
         return self.operator.T.tocsr()
 
     def by_rows(self) -> "ContactSystem":
-        """Return the system in which each slip component is a contact of its own, (1, d*n): all first components, then
-        all second ones. Where each slip is a difference of two unknowns, its matrices couple no different spin
-        components; those of a lattice fall apart into planes. Letters: n contacts with up to d slip components."""
+        """Return the system in which each slip component is a contact of its own, (1, d*n): all first components of the
+        n contacts, then all second ones. Where each slip is a difference of two unknowns, different spin components are
+        not coupled in its matrices, so that those of a lattice fall apart into planes."""
         ends = None if self.ends is None else self.ends.reshape(2, 1, -1)
         found = ContactSystem(self.unknowns, self.offset.reshape(1, -1), self.felt.reshape(1, -1), ends, self.slips)
         vars(found).update(operator=self.operator, transposed=self.transposed)
         return found
 
     def copies(self, count: int) -> "ContactSystem":
-        """Return a system of `count` copies of the contacts, each over spins of its own: the samples become parts of
-        one system that no contact joins. Each slip must be a difference of two unknowns (`ends` is not None)."""
+        """Return a system of `count` copies of the contacts, one for each sample, each over spins of its own. Each slip
+        must be a difference of two unknowns (`ends` is not None)."""
         if count == 1:
             return self
         assert self.ends is not None
@@ -335,8 +337,8 @@ class ContactSystem:
         return found
 
     def precise_differences(self, spins: Pair) -> np.ndarray:
-        """Return the slips (d, n) of n contacts with up to d components. They are so exact that even a slip far below
-        the rounding of the spins has most of its digits, if each slip is a difference of two unknowns.
+        """Return the slips (d, n) of n contacts with up to d components. If each slip is a difference of two unknowns,
+        even a slip far below the rounding of the spins has most of its digits.
 
         spins : (unknowns,), values of the unknown spins as sums of two doubles.
         """
@@ -372,8 +374,8 @@ class ContactSystem:
         np.moveaxis(values, 1, 0)[replica][..., self.slot, self.contact] = vectors
 
     def pieces(self, chosen: np.ndarray) -> tuple[int, np.ndarray]:
-        """Return two things: the number of connected pieces into which the contacts of the mask `chosen` (n,) join the
-        unknowns; and (unknowns,), the number of the piece of each unknown. Each slip must be a difference of two
+        """Return the number of connected pieces of the graph in which the contacts of the mask `chosen` (n,) join
+        unknowns, and the number of the piece of each unknown, (unknowns,). Each slip must be a difference of two
         unknowns (`ends` is not None)."""
         assert self.ends is not None
         below, above = self.ends[:, :, chosen].reshape(2, -1)
@@ -397,6 +399,8 @@ class ContactSystem:
             factor of the stiffness.
         """
         d, count = self.offset.shape
+        # K^T S K sums K[i, first] S[i, j] K[j, second] over pairs i <= j of slip components; off the diagonal of the
+        # matrix one term stands for both triangles, on it a pair i < j counts twice
         found, ends = [], [self._unknowns_of(slip) for slip in range(d)]
         for number, (i, j) in enumerate(combinations_with_replacement(range(d), 2)):
             several = product(ends[i], ends[j]) if i != j else combinations_with_replacement(ends[i], 2)
@@ -448,13 +452,11 @@ def stacked(stiffness: np.ndarray) -> np.ndarray:
 
 
 def slipping_components(felt: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return which of the E contacts slip, and by which spin components.
+    """Return which of E contacts can slip, and by which spin components, as three arrays: numbers (n,) of the contacts
+    that some component makes slip; these components (d, n) of each, where d is the most that one has; and a mask (d,
+    n), False where a contact has fewer than d.
 
-    felt : (C, E) mask of the components that make each contact slip.
-    returns : numbers (n,) of the contacts that some component makes slip; these components (d, n) of each, where d is
-        the most that one has; (d, n) mask, False where a contact has fewer than d.
-
-    Letters: n contacts with up to d slip components, C spin components.
+    felt : (C, E) mask of the C spin components that make each contact slip.
     """
     contact, most = np.flatnonzero(felt.any(axis=0)), felt.sum(axis=0).max(initial=1)
     slot = np.argsort(~felt[:, contact], axis=0, kind="stable")[:most].astype(np.int8)  # little memory
@@ -501,7 +503,7 @@ def lattice_system(
     contact, slot, felt = slipping_components(lattice.tangential_mask(spin_axes) & ~lattice.between_driven)
     sphere_at = sphere.ravel()[lattice.ends][:, None, contact]
     ends = np.where((sphere_at >= 0) & felt, sphere_at * len(spin_axes) + slot, -1)
-    rises = is_top.ravel()[lattice.ends[1][contact]]
+    rises = is_top.ravel()[lattice.ends[1][contact]]  # contacts whose upper sphere is in the top plane
 
     def slips_by_top(imposed: np.ndarray) -> np.ndarray:
         """Return the slips of the n contacts while all free spheres rest: (d, n), d components of each.

@@ -1,10 +1,11 @@
 """Contact systems in which the spins across some contacts are tied together, as one unknown.
 
-A contact that does not slip makes the spin components across it equal. Near the minimum tying them leaves about one
-unknown in six at 32^3, and a contact system without huge stiffnesses: there the last digits can be computed.
+A contact that does not slip makes the spin components at its two ends equal; so they can be replaced by one unknown.
+Near the minimum this leaves one unknown in six at 32^3, and no huge stiffnesses, so that the last digits of slips can
+be computed.
 
-Several samples of one lattice are parts of one system that no contact joins. Letters: n contacts with up to d slip
-components; D dimensions; a Pair is a sum of two doubles (high, low).
+Several samples of one lattice form one system, in which no contact joins two samples. Letters: n contacts with up to d
+slip components; D dimensions; a Pair is a sum of two doubles (high, low).
 """
 
 from dataclasses import dataclass
@@ -18,7 +19,8 @@ from taichi_bearings.numerics.cholesky.fronts import coupled
 from taichi_bearings.numerics.double_double import Pair, add, subtract, two_sum
 from taichi_bearings.scene.network import Network
 
-# number of unknowns from which a sample has an order of its own, and of a region that then is not divided
+# A sample with so many sets of tied spins gets an elimination order of its own; nested dissection then divides no
+# region with fewer unknowns than the second number.
 OWN_ORDER_UNKNOWNS, OWN_LEAF_UNKNOWNS = 2_000, 20
 
 
@@ -71,11 +73,11 @@ class Owners:
 
 
 def _begins(samples: int, owner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return a mask (samples,) of the samples that own something, and for each of these the index of the first that it
-    owns.
+    """Return a mask (samples,) of the samples to which some items of a list belong, and for each of these the index of
+    its first item.
 
     samples : number of samples.
-    owner : (k,), number of the sample that owns each of k things, ascending.
+    owner : (items,), number of the sample to which each item belongs, ascending.
     """
     begins = np.searchsorted(owner, np.arange(samples + 1))
     some = begins[1:] > begins[:-1]
@@ -86,9 +88,9 @@ def _reduced(reduce: np.ufunc, values: np.ndarray, begins: tuple[np.ndarray, np.
     """Return for each sample the largest or smallest of its values, (samples,).
 
     reduce : `np.maximum` or `np.minimum`.
-    values : (k,), in the order of their samples.
+    values : (items,), in the order of their samples.
     begins : a mask (samples,) of the samples that have values, and the index of the first value of each of these.
-    nothing : the number that a sample without values gets.
+    nothing : the number for a sample without values.
     """
     some, first = begins
     found = np.full(len(some), nothing)
@@ -98,17 +100,17 @@ def _reduced(reduce: np.ufunc, values: np.ndarray, begins: tuple[np.ndarray, np.
 
 
 class Contraction:
-    """The contacts that are left when some contacts are tied, over one unknown for each set of spins that are tied
-    together.
+    """A contact system in which some contacts are tied: the spins that tied contacts join form a set and have one value
+    in common, which is one unknown.
 
     whole : the system in which no contact is tied; its unknowns are single spins ("spins" below).
-    system : the contacts that are not tied, with one unknown for each set of tied spins.
-    kept : (contacts left,), the index in `whole` of each contact of `system`. Contacts that cannot slip, because tied
-        ones make their two ends equal, are left out as well.
-    unknowns : number of sets.
+    system : the contacts that are left, with one unknown for each set of spins.
+    kept : (contacts left,), the index in `whole` of each contact of `system`. Left out are the tied contacts, and those
+        that cannot slip because both ends are in one set.
+    unknowns : number of sets without a driven plane.
     number : (spins,), index of the set of each spin, -1 if the set is tied to a driven plane.
     imposed : (spins,), spin of the driven plane where `number` is -1, else 0; a sum of two doubles.
-    owners : the sample of each new unknown and of each contact left.
+    owners : the sample of each unknown and of each contact left.
     contradicts : (samples,) mask, True where tied contacts join driven planes that turn differently, which cannot be.
     """
 
@@ -123,31 +125,27 @@ class Contraction:
         samples : number of samples, of equal size.
         suits : True if the order was made for a system in which nearly the same contacts are tied (`order_of_spins`).
         """
-        # `kept` : numbers in `whole` of the contacts that are left; `system` : these contacts over the new unknowns
         self.whole, self._order, self._suits = whole, order, suits
-        self._found = dict[int, np.ndarray]()  # by sample, orders of its own
+        self._found = dict[int, np.ndarray]()  # by sample, the order that `_dissected` has found for it
         self._label(whole, tied, samples)
         self.kept, self.system = self._system_left(whole, np.flatnonzero(~tied))
         self.owners = Owners(samples, self._owner, self.kept // max(len(tied) // samples, 1))
 
     def _label(self, whole: ContactSystem, tied: np.ndarray, samples: int) -> None:
-        """Number the sets of spins that tied contacts join, and set these fields:
+        """Number the sets of spins that tied contacts join. Set the fields `unknowns`, `number`, `imposed` and
+        `contradicts` of the class, and `_owner` (unknowns,), the sample of each set.
 
-        unknowns : number of sets without an imposed spin.
-        number : (spins,), number of the set of each spin among these, -1 if the set is imposed.
-        imposed : two arrays (spins,), the imposed value of the set of each spin and what it lacks; 0 if none is.
-        contradicts : (samples,) mask of samples with a set that has two different imposed values.
-        _owner : (unknowns,), sample of each set.
-
-        whole : contacts of all samples.
-        tied : (n,) mask of the tied ones, which make the spins at both ends equal.
+        whole : the n contacts of all samples.
+        tied : (n,) mask of the tied contacts.
         samples : number of samples, of equal size.
         """
         assert whole.ends is not None
         (below, above), offsets = whole.ends[:, :, tied], [part[:, tied] for part in _offset(whole)]
-        # a difference of zero with one end imposed: spin below = offset, or spin above = -offset
+        # A tied contact with one imposed end fixes the spin at the other one: slip 0 = above - below + offset gives
+        # spin below = offset, or spin above = -offset.
         up, down = (below >= 0) & (above < 0), (above >= 0) & (below < 0)
         imposed, values = np.append(below[up], above[down]), [np.append(of[up], -of[down]) for of in offsets]
+        # The value of such a spin is that of its whole set; two values of one set contradict each other.
         count, label = whole.pieces(tied)
         imposed_values, owner = np.zeros((2, count)), np.zeros(count, dtype=np.int64)
         owner[label] = np.arange(whole.unknowns) // max(whole.unknowns // samples, 1)
@@ -161,15 +159,17 @@ class Contraction:
         self.imposed: Pair = (imposed_values[0][label], imposed_values[1][label])
 
     def _system_left(self, whole: ContactSystem, places: np.ndarray) -> tuple[np.ndarray, ContactSystem]:
-        """Return the contacts that can still slip after others were tied: their indices (q,) in the system `whole`, and
-        a system of these contacts alone, whose unknowns are the sets of spins that tied contacts join.
+        """Return the contacts that can still slip after others were tied: their indices (contacts left,) in the system
+        `whole`, and the system of these contacts, whose unknowns are the sets of spins that tied contacts join.
 
         whole : the system before any contact was tied.
-        places : (p,), indices in it of the contacts that are not tied. Of these, contacts between spins of one set
-            without an imposed slip are left out.
+        places : (contacts,), indices in it of the contacts that are not tied. Those between two spins of one set are
+            left out unless imposed spins make them slip.
         """
         assert whole.ends is not None
-        ends = whole.ends[:, :, places]  # -1 where a spin was imposed before
+        # The two sets that each contact joins, -1 for an imposed spin. Spins of sets that are tied to a driven plane
+        # are imposed now; their difference is added to the offset.
+        ends = whole.ends[:, :, places]
         (below, above), imposed = np.append(self.number, -1)[ends], [np.append(of, 0.0)[ends] for of in self.imposed]
         offset, rest = _offset(whole)
         offset, rest, same = offset[:, places], rest[:, places], below == above
@@ -185,23 +185,24 @@ class Contraction:
 
     @property
     def heads(self) -> np.ndarray:
-        """(unknowns before,) mask of one spin, the first, of each set that is tied to no driven plane."""
+        """(spins,) mask of the first spin of each set that is tied to no driven plane."""
         free = np.flatnonzero(self.number >= 0)
         first, found = np.empty(self.unknowns, dtype=np.int64), np.zeros(len(self.number), dtype=bool)
-        first[self.number[free[::-1]]] = free[::-1]
+        first[self.number[free[::-1]]] = free[::-1]  # of several spins of a set the last that is written stays
         found[first] = True
         return found
 
     def span(self, sample: int) -> slice:
-        """Return the range of the new unknowns, one for each set of tied spins, that belong to a sample, its number."""
+        """Return the range of the unknowns, one for each set of tied spins, that belong to sample number `sample`."""
         return slice(*np.searchsorted(self._owner, [sample, sample + 1]).tolist())
 
     def order(self, sample: int) -> np.ndarray:
-        """Return the order in which the new unknowns of a sample are eliminated: (unknowns,), their numbers counted
-        from its first. A new unknown stands for a set of spins that contacts tie together.
+        """Return the order in which the unknowns of a sample, one for each set of tied spins, are eliminated: their
+        numbers, counted from the first unknown of the sample.
 
         In small samples a set is eliminated when the last of its spins would be. In large ones (OWN_ORDER_UNKNOWNS) the
-        sets, which extend across any plane, are dissected anew by their places, unless the given order suits them.
+        given order of spins does not divide the sets, which extend far; so nested dissection is repeated for the sets,
+        unless the order was made for nearly these sets.
         """
         own = self.span(sample)
         if self.whole.place is not None and own.stop - own.start >= OWN_ORDER_UNKNOWNS and not self._suits:
@@ -216,9 +217,9 @@ class Contraction:
 
     @property
     def order_of_spins(self) -> np.ndarray | None:
-        """The order (unknowns before,) of the single spins of one sample in which sets of tied spins are eliminated,
-        those of a set one after the other; None in small samples, whose sets have no order of their own. It suits
-        systems in which a few more contacts are tied, or a few less."""
+        """The order (spins,) of the single spins of one sample that corresponds to the order of their sets, the spins
+        of a set one after the other; None in small samples, whose sets have no order of their own. It suits systems in
+        which a few more contacts are tied, or a few less."""
         if self.unknowns < OWN_ORDER_UNKNOWNS:
             return None
         place = np.empty(self.unknowns + 1, dtype=np.int64)
@@ -226,8 +227,8 @@ class Contraction:
         return np.argsort(place[self.number], kind="stable")
 
     def _dissected(self, own: slice, place: np.ndarray) -> np.ndarray:
-        """Return the unknowns of one sample, (unknowns of the sample,), counted from its first, in an order of nested
-        dissection. An unknown stands for a set of spins that are tied together and is placed at their mean.
+        """Return the unknowns of one sample, counted from its first, in an order of nested dissection. An unknown is a
+        set of tied spins; it is placed at the mean of their places.
 
         own : range of the sample's unknowns among those of all samples.
         place : (D, spins), coordinates in D dimensions of each spin of the system in which no contact is tied.
@@ -238,10 +239,10 @@ class Contraction:
         return order_by_place(self.system, centre, own)
 
     def contracted(self, spins: Pair) -> Pair:
-        """Return for each set of tied spins their mean, (unknowns,), as a sum of two doubles: one of the spins, plus
-        the mean difference of all from it.
+        """Return the mean of each set of tied spins, (unknowns,), as a sum of two doubles. It is one of the spins plus
+        the mean of the differences from it, which are small.
 
-        spins : (unknowns before,), the single spins, as sums of two doubles.
+        spins : (spins,), the single spins, as sums of two doubles.
         """
         free = self.number >= 0
         number, one = self.number[free], np.zeros(self.unknowns)
@@ -250,8 +251,8 @@ class Contraction:
         return two_sum(one, more / np.bincount(number, minlength=self.unknowns))
 
     def expanded(self, spins: Pair) -> Pair:
-        """Return the spins (unknowns before,) of the system before any contact was tied: equal within each set of tied
-        spins, imposed where a set is tied to a driven plane.
+        """Return the spins (spins,) of the system before any contact was tied: equal within each set of tied spins,
+        imposed where a set is tied to a driven plane.
 
         spins : (unknowns,), one for each set; sums of two doubles, as is the result.
         """
@@ -259,14 +260,12 @@ class Contraction:
         return high + self.imposed[0], low + self.imposed[1]
 
     def differences(self, spins: Pair) -> np.ndarray:
-        """Return the slips (d, contacts left) of the contacts that are not tied, so exactly that even the smallest one
-        has all its digits.
+        """Return the slips (d, contacts left) of the contacts that are left, with all digits even of the smallest one.
 
         spins : (unknowns,), one for each set of tied spins, as a sum of two doubles.
 
-        Slips are computed anew from the spins each time. So they add up to 0 round every loop of contacts, up to the
-        rounding of the low parts. If the slips themselves were updated step by step, their rounding errors would add
-        up, and contacts at rest would seem to slip.
+        Slips are computed from the spins each time, not updated from step to step. So their rounding errors do not add
+        up: round every loop of contacts slips sum to 0, up to the rounding of the low parts of the spins.
         """
         return self.system.precise_differences(spins)
 
@@ -279,16 +278,14 @@ def _offset(system: ContactSystem) -> Pair:
 
 
 def order_by_place(system: ContactSystem, place: np.ndarray | None = None, own: slice | None = None) -> np.ndarray:
-    """Return the order in which the unknowns of a system are eliminated, by nested dissection of where they are.
+    """Return the order in which the unknowns of a system are eliminated, by nested dissection of their places.
 
     system : the contacts; unknowns that a contact joins are coupled.
-    place : (D, unknowns), where each unknown is; None for the places that the system has.
+    place : (D dimensions, unknowns), where each unknown is; None for the places that the system has.
     own : range of the unknowns to order, None for all; they are counted from its first.
 
-    Where contacts mix spin components, all components of a sphere are coupled alike. There the spheres are ordered,
-    which takes a fifth of the time.
-
-    Letters: D dimensions.
+    Where contacts mix spin components, all components of a sphere are coupled to the same spheres. So spheres are
+    ordered instead of unknowns, which takes a fifth of the time.
     """
     if place is None and own is None and system.whole is not None and not system.whole.along_axes(system.numbers):
         return _by_spheres(system, system.whole)

@@ -1,6 +1,7 @@
-"""Samples of one system on their way along the central path, until it is decided which of their contacts slip.
+"""Follows the central path of the samples of one network, until it is decided which of their contacts slip.
 
-"To settle the states" of a sample is to find out which contacts slip at its minimum (resolution.py).
+"To settle the states" of a sample is to find out which contacts slip at its minimum (resolution.py). The relative gap
+is (cost - lower bound) / cost.
 """
 
 import math
@@ -18,13 +19,13 @@ from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.stages import stage
 
-# relative gap below which settling is tried, also where the path ends (32^3 seed 2); the next trial comes when the gap
-# is smaller by the factor
+# relative gap at which settling is tried first, also if the path ends there (32^3 seed 2); it is tried again when the
+# gap has fallen by RETRY_FACTOR
 SETTLING_GAP, RETRY_FACTOR = 1e-9, 100
-# in small samples the gap is SETTLING_GAP_FACTOR / spheres^2, at most FIRST_SETTLING_GAP: their slips are larger
+# small samples have larger slips: there the first trial comes at SETTLING_GAP_FACTOR / spheres^2, at most at the other
 FIRST_SETTLING_GAP, SETTLING_GAP_FACTOR = 1e-8, 1e-4
-# there are two trials, and the first one comes earlier by the factor, where the gap of the second one, RETRY_FACTOR
-# further on, is well above that at which the path ends: up to 1 100 spheres
+# If the gap of a second trial is above LEAST_SECOND_GAP, well before double precision ends (up to 1 100 spheres), small
+# samples have two trials, and the first comes at a gap EARLIER_FACTOR times as large.
 EARLIER_FACTOR, LEAST_SECOND_GAP = 3.0, 8e-13
 SETTLING_STEPS = 5.0  # number of steps along the path that take as long as settling the contact states
 DISTANT_GAP = 1e-4  # relative gap above which the price of leftover torques does not matter yet
@@ -32,10 +33,10 @@ DISTANT_GAP = 1e-4  # relative gap above which the price of leftover torques doe
 
 @dataclass
 class Sample:
-    """One sample with n contacts on its way along the central path, which ends at the minimum of its power. To *settle
-    the contact states* is to find out which contacts slip at the minimum.
+    """One sample with n contacts at a point of its central path, which ends at the minimum of the power. To *settle the
+    contact states* is to find out which contacts slip at the minimum.
 
-    iterate : the point of the path at which it is.
+    iterate : the point of the path.
     unit : power of two near the mean coefficient, in which its friction is measured.
     steps : number of Newton steps taken.
     gap : relative gap, (cost - lower bound) / cost; infinite before the first step.
@@ -61,10 +62,10 @@ class Sample:
 
 
 class Descent:
-    """Samples of one system on their way along the central path, until the states of their contacts are settled: until
-    it is known which contacts slip at the minimum, and which rest.
+    """Follows the central paths of samples of one system until it is known which contacts slip at the minimum, and
+    which rest: until their states are *settled*.
 
-    samples : all of them; each is done where nothing is left to gain for it.
+    samples : all samples.
     ends_at : relative gap, (cost - lower bound) / cost, at which a path ends.
     """
 
@@ -96,8 +97,9 @@ class Descent:
         """Take up to `steps` further Newton steps of every sample that is not done. Near the end of its path settle the
         contact states of a sample: find out which contacts slip at the minimum.
 
-        Several small samples are stepped side by side; where one leaves, another takes its place. Samples near the end
-        of their paths wait for others, as settling their states together takes half the time.
+        Small samples take their steps together, as many as a path has places; where one leaves, another takes its
+        place. Samples near the end of their paths wait for others, as settling their states together takes half the
+        time.
         """
         at_end = [(sample, sample.steps + steps) for sample in self.samples if sample.at_end]  # of an earlier call
         waiting = deque((of, of.steps + steps) for of in self.samples if not (of.done or of.at_end))
@@ -143,11 +145,9 @@ class Descent:
     @property
     def settles_at(self) -> float:
         """Relative gap, (cost - lower bound) / cost, below which it is first tried to settle contact states, that is to
-        find out which contacts slip at the minimum.
-
-        In small samples it is a gap at which most contacts that seem to stick do stick: SETTLING_GAP_FACTOR /
-        spheres^2, three times as much where there will be a second trial, and FIRST_SETTLING_GAP at most. In large
-        samples no such gap is known, and SETTLING_GAP is used.
+        find out which contacts slip at the minimum: SETTLING_GAP in large samples. In small ones it depends on the
+        number of spheres (`_small_gap`); it is larger where there will be a second trial, and at most
+        FIRST_SETTLING_GAP.
         """
         if not self.small:
             return SETTLING_GAP
@@ -185,18 +185,18 @@ class Descent:
                 sample.before = path.before(place) if accepted else None
 
     def _near(self, sample: Sample) -> float:
-        """Return the relative gap below which the next trial to settle the contact states of a sample comes; 0 if there
-        is none before the path ends. In large samples a trial that fails is repeated when the gap has fallen by
-        RETRY_FACTOR; in small ones there are two trials at most."""
+        """Return the relative gap below which the next trial to settle the contact states of a sample comes; 0 if no
+        trial comes before the path ends. In large samples each trial that fails is followed by another when the gap has
+        fallen by RETRY_FACTOR; small samples have one or two trials."""
         again = sample.tried / RETRY_FACTOR
         if self.small and math.isfinite(sample.tried):
             again = 0.0 if self._is_last(sample.tried) else self.settles_at / RETRY_FACTOR
         return min(self.settles_at, again) if self.settles else 0.0
 
     def _is_last(self, gap: float) -> bool:
-        """Return True if a trial to settle contact states at the relative gap `gap` goes all the way to the end of the
-        path. Earlier trials, which do not, are made in small samples only: for these a few more steps, side by side
-        with other samples, take less time than following the last decades of the path alone."""
+        """Return True if a trial to settle contact states at the relative gap `gap` is the last one of a sample, which
+        follows the path to its end. All trials are, but for the first of two in small samples: if that fails, a few
+        more steps together with other samples take less time than following the path to its end alone."""
         return not self._tries_twice or gap < self.settles_at / RETRY_FACTOR
 
     def _gap(self, sample: Sample, path: Path, place: int) -> float:
@@ -207,9 +207,13 @@ class Descent:
         path : the path on which it is, side by side with others.
         place : its place among the samples there.
 
-        Unbalanced forces lower the bound. If the loss is larger than the gap, forces are balanced first. There are two
-        exceptions. If contact states are about to be settled, forces are balanced then, and nothing is done here. If
-        states are settled later, and balancing takes as long as a step, the loss is added to the gap.
+        Unbalanced forces lower the bound. If this loss, the price of torques, is larger than the gap, forces are
+        balanced first, with two exceptions:
+
+        * before the next trial to settle states, and if balancing takes as long as a step, the loss is added to the gap
+          instead;
+        * else a loss below SETTLING_GAP is ignored if no states are settled here, or, as settling balances forces
+          itself, if the gap is still above LEAST_GAP.
         """
         gap = path.gap(place)
         price = 0.0 if gap > DISTANT_GAP else path.price_of_torques(place)
@@ -228,8 +232,8 @@ class Descent:
         return balanced.gap
 
     def _settle(self, samples: list[Sample]) -> None:
-        """Try to find which contacts of some samples slip at the minimum. Store in each sample the better one of the
-        minima found so far, and set `done` where the contact states are sure."""
+        """Try to find which contacts of some samples slip at the minimum. Store in each sample the best minimum found
+        so far, and set `done` where the contact states are sure."""
         with stage("settling contact states", SETTLING_STEPS * self.step_seconds):
             last = [sample.done or self._is_last(sample.gap) for sample in samples]
             points = [s.iterate for s in samples], [s.before for s in samples]

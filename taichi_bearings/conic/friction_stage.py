@@ -1,16 +1,16 @@
-"""Spheres held by springs whose force friction limits: their spins in balance, and the contact forces there.
+"""Finds spins and contact forces in balance, where every contact has a spring whose force friction limits.
 
 With inertia this is one implicit step in time of a dynamics, without it one step of the method of multipliers. Either
-is called a stage. Let D Omega be the differences of spins across contacts and R the radius. Every contact has the trial
-force F* = start + resistance * R D Omega, limited to |F| <= limit, and beside it a viscous force viscosity * R D Omega,
-if there is a viscosity. The spins then obey
+is called a *stage*. Let D Omega be the differences of spins across contacts and R the radius. A contact has the trial
+force F* = start + resistance * R D Omega, shortened to its limit where |F*| exceeds that, and beside it the viscous
+force viscosity * R D Omega, if there is a viscosity. Their sum is the force F. The spins Omega obey
 
     inertia (Omega - base) + R D^T F(Omega) = 0,
 
-which holds at the minimum of the strictly convex, once differentiable function inertia |Omega - base|^2 / 2 + sum_e
-huber(F*_e) / resistance_e + the viscous potential. Newton's method finds it: a contact that sticks resists with its
-resistance; one that slips resists only across its force, with resistance * limit / |F*|. A line search on the slope
-makes every step go down. Contacts change between the two branches finitely often; after that convergence is quadratic.
+which holds at the minimum of a strictly convex function with a continuous gradient: inertia |Omega - base|^2 / 2 +
+sum_e huber(F*_e) / resistance_e + the viscous potential. Newton's method finds this minimum: a contact that sticks
+resists with its resistance; one that slips resists only across its force, with resistance * limit / |F*|. A line search
+makes sure that no step goes up. Contacts begin or end to slip finitely often; after that convergence is quadratic.
 
 Letters: n contacts with up to d slip components.
 """
@@ -26,8 +26,8 @@ from taichi_bearings.scene.scene import vector_length
 
 # torque left, relative to friction and inertia, at which Newton's method ends, and at which linear corrections end
 STAGE_TORQUE, CORRECTED_TORQUE = 1e-10, 1e-15
-# linear corrections by conjugate gradients at most, after REFINEMENTS other ones; and the largest force over its limit
-# up to which a correction counts as linear: it turns the force of a slipping contact and must hardly lengthen it
+# most corrections by conjugate gradients, which follow REFINEMENTS other ones; they end if a force over its limit
+# exceeds STILL_LINEAR: a linear correction may turn the force of a slipping contact, but must hardly lengthen it
 MOST_GRADIENTS, STILL_LINEAR = 8, 1 + 1e-3
 LARGEST_EIGENVALUE = 8  # a Laplacian of lattice contacts is at most so large: twice the four contacts of a component
 GRADIENT_RATIO = 200.0  # ratio of contact stiffness and inertia up to which conjugate gradients solve
@@ -135,7 +135,7 @@ class FrictionStage:
         self.system, self.matrix, self.radius = system, matrix, radius
         self.spin_scale, self.force_scale = spin_scale, force_scale
         self.factorisations = 0
-        self._factorised: tuple[float, np.ndarray] | None = None  # what is factorised: inertia, stiffnesses
+        self._factorised: tuple[float, np.ndarray] | None = None  # inertia and stiffnesses of the factorised matrix
 
     def solve(self, friction: Friction, base: np.ndarray, start: np.ndarray, guess: np.ndarray) -> StageEnd | None:
         """Return spins and forces at the end of a stage (a step in time, or of the method of multipliers), where forces
@@ -143,7 +143,7 @@ class FrictionStage:
 
         friction : laws of the n contacts, which have up to d slip components.
         base : (unknowns,), spins before the stage, from which inertia acts, 1/time.
-        start : (d, n), force of each spring at no slip.
+        start : (d, n), force of each spring without slip.
         guess : (unknowns,), spins to begin with, 1/time.
         """
         inertia, resistance = friction.inertia, friction.resistance
@@ -171,10 +171,10 @@ class FrictionStage:
         return None
 
     def _trial(self, start: np.ndarray, resistance: np.ndarray, spins: np.ndarray) -> np.ndarray:
-        """Return the trial forces (d, n) of the springs, before friction limits them: that at no slip, `start`, plus
-        stiffness times slip speed.
+        """Return the trial forces (d, n) of the springs, before friction limits them: `start` plus stiffness times slip
+        speed.
 
-        start : (d, n), force of each spring at no slip.
+        start : (d, n), force of each spring without slip.
         resistance : (n,), stiffness of each spring, force * time / length.
         spins : (unknowns,), 1/time.
         """
@@ -204,10 +204,11 @@ class FrictionStage:
         return inertia * gained + self.radius * self.system.torques(force)
 
     def _prepare(self, friction: Friction, trial: np.ndarray) -> bool:
-        """Prepare to solve with the derivative of the torques by the spins; return False if rounding makes it singular.
+        """Prepare to solve with the derivative of the torques with respect to the spins; return False if rounding makes
+        that matrix singular.
 
-        In short stages inertia dominates, and a few conjugate gradients do. Else the matrix is factorised, unless
-        nothing has changed since the last time.
+        In short stages inertia dominates, and a few steps of conjugate gradients solve; nothing is factorised then.
+        Otherwise the matrix is factorised, unless it is the last one again.
 
         friction : laws of the n contacts.
         trial : (d, n), forces of the springs before friction limits them.
@@ -247,10 +248,10 @@ class FrictionStage:
         return solution
 
     def _response(self, step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return what the springs, with the stiffness that was prepared last, resist to a change of the spins: the
-        forces times the radius (d, n), and their torques with those of inertia (unknowns,).
+        """Return the response to a change of the spins, with the stiffness that was prepared last: the changes of the
+        forces times the radius, (d, n), and those of the torques, (unknowns,), inertia included.
 
-        step : (unknowns,), the change, 1/time.
+        step : (unknowns,), change of the spins, 1/time.
         """
         change = resisted(self._stiffness, self.system.change(step))
         return change, self._inertia * step + self.system.torques(change)
@@ -312,8 +313,8 @@ class FrictionStage:
         force: np.ndarray,
         scale: float,
     ) -> StageEnd:
-        """Return the spins and forces at the end of the stage, after linear corrections of the forces have taken away
-        the last torques. These are left since the forces of stiff contacts depend on more digits of the spins than
+        """Return the spins and forces at the end of the stage, after linear corrections of the forces have removed the
+        last torques. Some are left before, as the forces of stiff contacts depend on more digits of the spins than
         doubles have.
 
         friction : laws of the n contacts.
@@ -352,12 +353,12 @@ class FrictionStage:
         self, friction: Friction, base: np.ndarray, spins: np.ndarray, force: np.ndarray, scale: float
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return forces (d, n) and spins (unknowns,) after more linear corrections, by conjugate gradients with the
-        factorised matrix as preconditioner. It takes them where the diagonal of that matrix was raised: soft motions
-        are corrected only in part then.
+        factorised matrix as preconditioner. They are needed where the diagonal of that matrix was raised, as a solve
+        then corrects soft motions only in part.
 
-        Of all corrections, and none at all, those that leave the least torque are returned. Corrections end where they
-        are no longer linear, as where friction differs by decades the softest motions are mere rounding: spins would
-        grow without end, and forces beyond their limits.
+        The corrections with the least torque are returned, or none if none reduces it. They end when a force clearly
+        exceeds its limit (STILL_LINEAR): where friction differs by decades, the softest motions are mere rounding, and
+        spins and forces would grow without end.
 
         friction : laws of the n contacts.
         base : (unknowns,), spins from which inertia acts, 1/time.

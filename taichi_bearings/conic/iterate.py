@@ -11,9 +11,9 @@ from taichi_bearings.conic.cones import inner, length
 from taichi_bearings.conic.contact_system import ContactSystem
 
 LEAST_GAP = 1e-13  # relative gap at which double precision ends: some hundred roundings of 1e-15
-# Starts near the central path, found by trial: the product of friction and bound over median friction and slack; over
-# the median friction the least friction by which the product is divided, and the largest force; and the root mean
-# square of the slips over slack, above which the start has no forces.
+# Numbers of `Iterate.near_path`, found by trial: product over median friction and slack; least friction by which that
+# is divided, and largest force, both over the median friction; root mean square of the slips over slack, above which
+# the start has no forces.
 START_PRODUCT, START_LEAST_FRICTION, START_LARGEST_FORCE, START_MOST_SLIP = 0.7, 0.03, 2.0, 2.0
 EVEN_SHARE = 0.1  # frictions are even if at least half of them exceed this share of their mean
 TINY = np.finfo(np.float64).tiny
@@ -21,9 +21,8 @@ TINY = np.finfo(np.float64).tiny
 
 @dataclass(frozen=True)
 class Inertia:
-    """The inertia of spins that is added to the power in a step of time: the cost weight / 2 |spins - origin|^2.
-
-    The torques of the contacts then have to be weight * (spins - origin) instead of 0.
+    """The inertia of the spheres in a step in time: the cost weight / 2 |spins - origin|^2, which is added to the
+    power. The torques of the contacts then have to be weight * (spins - origin) instead of 0.
 
     weight : moment of inertia over duration of the step, in units of friction over spin.
     origin : (unknowns,), spins before the step.
@@ -97,10 +96,10 @@ class Iterate:
         path, but torques do not balance. From there the path takes one Newton step in ten less than from a point
         without forces.
 
-        Forces are along the slips, and at most START_LARGEST_FORCE times the median friction: larger ones, where
-        frictions are far apart, would leave torques that take many steps to balance. So would forces along slips that
-        are far from those of a minimum, as at random spins, or where frictions are decades apart: there the point has
-        no forces, as that of :meth:`start`.
+        Forces are along the slips, and at most START_LARGEST_FORCE times the median friction, as larger ones would
+        leave torques that take many steps to balance. So would forces along slips that are far from those of a minimum.
+        So the point has no forces, as in :meth:`start`, if slips are large (START_MOST_SLIP), as at random spins, or if
+        frictions are decades apart.
 
         system : the n contacts.
         spins : (unknowns,), spins of the point.
@@ -212,11 +211,9 @@ class Iterate:
     def excess(self) -> float:
         """Upper bound on how far the cost is above the least one, if the forces balance: the sum over the contacts of
         friction * |slip| + slip . dual, in which `dual` is minus the force. Each term is 0 if the contact obeys the law
-        of friction, and positive else. It is summed without cancellation, and holds with or without inertia and
-        viscosity.
-
-        With viscosity the dual cost of a force f is max(|f| - friction, 0)^2 / (2 viscosity). That is never more than
-        the cost of the present slip, viscosity * slip^2 / 2, which is counted here.
+        of friction, and positive otherwise, so that nothing cancels. It holds with or without inertia and viscosity:
+        the dual cost of a force f, max(|f| - friction, 0)^2 / (2 viscosity), is never more than the cost viscosity *
+        slip^2 / 2 that is counted in its place.
         """
         return float((self.friction * length(self.difference) + inner(self.difference, self.dual)).sum())
 

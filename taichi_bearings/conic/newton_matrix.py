@@ -1,8 +1,8 @@
-"""The matrix of a Newton step, K^T S K: a Laplacian over the spins, with a stiffness matrix (d, d) of each contact in
-S.
+"""The matrix of a Newton step, K^T S K: a Laplacian over the spins. K is the matrix from spins to slips; the block
+diagonal matrix S has a stiffness matrix (d, d) for each contact.
 
-Letters: n contacts with up to d slip components, S samples side by side; K is the matrix from spins to slips
-(conic/__init__.py).
+Letters: n contacts with up to d slip components. In shapes S is the number of samples. Samples are "side by side" if
+they have one pattern of entries and their numbers stand on the last axis, (..., S).
 """
 
 from collections.abc import Callable, Sequence
@@ -16,7 +16,7 @@ from taichi_bearings.conic.rows import ContactRows, are_shared
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.cholesky import Cholesky, Engine, Factor, Memory, NotPositiveDefinite, dissect
 
-MOST_NEWTON_STEPS = 60  # steps of Newton's method, or of a search along one; successful ones take some 10 to 30
+MOST_NEWTON_STEPS = 60  # of Newton's method, and of a search along a step; where it converges, 10 to 30 are enough
 REFINEMENTS = 4  # refinements of a solution; two are enough where stiffnesses are of one size
 DIAGONAL_SHIFTS = (0.0, 1e-14, 1e-12, 1e-10)  # relative additions to the diagonal, tried one after the other
 INVERSE_ITERATIONS, SURELY_REGULAR = 3, 1e-8  # inverse iterations, and a least eigenvalue that is surely not 0
@@ -24,15 +24,15 @@ Order = np.ndarray | Callable[[int], np.ndarray]
 
 
 class NewtonMatrix:
-    """Factorised matrices K^T S K of a contact system, in one sample or several. Here K is the matrix from spins to
-    slips, and the block diagonal matrix S holds the stiffnesses of the n contacts.
+    """Factorised matrices K^T S K of a contact system, for one sample or several. K is the matrix from spins to slips;
+    the block diagonal matrix S holds the stiffnesses of the n contacts.
 
     There are two ways to treat several samples. They can be side by side, up to LANES of them, in arrays (..., S) with
     one pattern of entries for all. Or they can be separate parts of one system, each with a pattern of its own. The
     result for a sample, bit by bit, does not depend on the others. Patterns are analysed once, when the object is made.
 
-    Stiffnesses over twenty decades can leave a pivot that rounding made negative. Then the diagonal is raised by as
-    little as helps (DIAGONAL_SHIFTS), and the caller has to refine solutions.
+    If stiffnesses span twenty decades, rounding can make a pivot negative. Then the diagonal is raised by the smallest
+    of DIAGONAL_SHIFTS that helps, and the caller has to refine solutions.
 
     memory : work space that another matrix can share.
     raised : index in DIAGONAL_SHIFTS of the largest addition that the last call of :meth:`factorise_rows` tried.
@@ -106,8 +106,8 @@ class NewtonMatrix:
         return pattern.operations / max(pattern.factor_entries, 1)
 
     def compile(self, samples: int = 1) -> None:
-        """Compile the kernels for factorising one sample, here and in smaller systems, or those for several side by
-        side, so that the measured time of a run does not include it.
+        """Compile the kernels that factorise, before the time of a run is measured. For one sample these are also the
+        kernels for smaller systems.
 
         samples : number of samples side by side.
         """
@@ -116,8 +116,8 @@ class NewtonMatrix:
             _compile(Engine.LAUNCH, 1)
 
     def reserve(self) -> None:
-        """Take the memory of a large factor before it is needed, so that another thread can have the system provide it
-        while this one prepares other things."""
+        """Reserve the memory of a large factor before it is needed. Another thread may do so while this one prepares
+        other things."""
         for cholesky in self._choleskys:
             cholesky.reserve()
 
@@ -125,7 +125,7 @@ class NewtonMatrix:
         """Factorise the matrices of all samples. Raises NotPositiveDefinite if one is singular to working precision.
 
         stiffness : (d, d, n), or (d, d, n, S) side by side.
-        inertia : stiffness of a spring at every spin: one number, (unknowns,) or (unknowns, S).
+        inertia : number added to the diagonal, as by a spring at every spin: one number, (unknowns,) or (unknowns, S).
 
         Letters: n contacts with up to d slip components, S samples.
         """
@@ -136,9 +136,9 @@ class NewtonMatrix:
         """Factorise the matrices of S samples in which a spring at each contact resists every slip component alike.
         Return a mask (S,) of the samples in which that succeeds, if need be with a raised diagonal.
 
-        springs : (n, S), stiffness of each spring. Where each slip component is a contact of its own
-            (`ContactSystem.by_rows`), it counts for all components of its contact.
-        inertia : stiffness of a further spring at every spin: one number, or (unknowns, S).
+        springs : (n, S), stiffness of the spring at each contact, for all its slip components, also where each of them
+            is a contact of the system (`ContactSystem.by_rows`).
+        inertia : number added to the diagonal, as by a spring at every spin: one number, or (unknowns, S).
         """
         rows = self._system.offset
         each = np.tile(springs, (rows.shape[1] // max(len(springs), 1), 1))
@@ -152,9 +152,9 @@ class NewtonMatrix:
         """Factorise the matrices of some samples. Return a mask (S,) of the `wanted` samples in which that succeeds, if
         need be with a raised diagonal.
 
-        stiffness : symmetric, positive, (d, d, n), or (d, d, n, S) side by side.
+        stiffness : (d, d, n), a symmetric positive matrix for each contact; or (d, d, n, S) side by side.
         wanted : (S,) mask, None for all.
-        inertia : stiffness of a spring at every spin: one number, (unknowns,) or (unknowns, S).
+        inertia : number added to the diagonal, as by a spring at every spin: one number, (unknowns,) or (unknowns, S).
 
         Letters: n contacts with up to d slip components, S samples.
         """
@@ -177,13 +177,13 @@ class NewtonMatrix:
         return regular
 
     def is_regular(self, stiffness: np.ndarray) -> bool:
-        """Return True if surely every change of the spins makes some contact with stiffness slip.
+        """Return True if the matrix surely is regular: then every change of the spins makes some contact slip.
 
-        stiffness : (d, d, n), of size 1 or 0. The matrix is factorised, and its least eigenvalue found by inverse
-            iteration from a random vector. It has to be above SURELY_REGULAR: far above what rounding makes of 0, and
-            above the largest amount by which a diagonal is raised.
+        The least eigenvalue, found by inverse iteration from a random vector, has to be above SURELY_REGULAR. That is
+        far above what rounding makes of 0, and above the largest amount by which a diagonal is raised.
 
-        Letters: n contacts with up to d slip components.
+        stiffness : (d, d, n), stiffness of n contacts with up to d slip components, of size 1, or 0 for contacts that
+            do not count.
         """
         if not self.factorise_each(stiffness).all():
             return False
@@ -230,11 +230,11 @@ class NewtonMatrix:
 
         rows : numbers of all contacts, one row for each kind.
         wanted : (S,) mask of the samples that are wanted.
-        inertia : stiffness of a spring at every spin.
-        viscous : stiffnesses to add, (d (d + 1) / 2 * n, S): upper triangles of the n contacts' matrices (d, d), all
-            entries [0, 0], then all [0, 1], and so on.
-        raised : index in DIAGONAL_SHIFTS of the first addition to the diagonals to try: 0 for none. Where an earlier
-            matrix of the same path needed one, that saves a factorisation that would fail.
+        inertia : number added to the diagonal, as by a spring at every spin.
+        viscous : stiffnesses to add, (d (d + 1) / 2 * n, S), `stacked`: upper triangles of the contacts' matrices (d,
+            d), all entries [0, 0], then all [0, 1], and so on.
+        raised : index in DIAGONAL_SHIFTS of the first addition to the diagonals to try: 0 for none. If an earlier
+            matrix of the path needed one, to begin there saves factorisations that would fail.
         """
         factor, diagonal = self._choleskys[0].factor(rows.samples), self._choleskys[0].pattern.diagonal
         rows.add_stiffnesses(factor.entries)
@@ -257,15 +257,15 @@ class NewtonMatrix:
     def balanced(
         self, dual: np.ndarray, springs: np.ndarray, load: np.ndarray | float = 0.0, solves: int = REFINEMENTS
     ) -> np.ndarray:
-        """Return forces (d, n) whose torques are `load`, up to rounding: `dual` plus the forces of fictitious springs
-        at the contacts, which are stretched as far as that takes.
+        """Return forces (d, n) with the torques `load`, up to rounding: `dual` plus the forces of fictitious springs at
+        the contacts, whose stretching at some change of the spins balances the rest.
 
         dual : (d, n), forces to begin with.
         springs : (n,), stiffness of the spring at each contact, which resists every slip component alike.
-        load : (unknowns,), torques that are to stay, or 0.
-        solves : number of solves; those after the first take away what rounding leaves.
+        load : (unknowns,), torques that the forces are to have, or 0.
+        solves : number of solves; those after the first correct the rounding.
 
-        Raises NotPositiveDefinite if the springs do not hold every spin.
+        Raises NotPositiveDefinite if there are too few springs, so that their matrix is singular.
 
         Letters: n contacts with up to d slip components.
         """
@@ -280,15 +280,16 @@ class NewtonMatrix:
         load: np.ndarray | float,
         solves: int = REFINEMENTS,
     ) -> np.ndarray:
-        """Return forces (d, n) as :meth:`balanced` does, by springs whose matrix is factorised already.
+        """Return forces (d, n) with the torques `load`, up to rounding: `dual` plus the forces of springs whose matrix
+        is factorised already.
 
         dual : (d, n), forces to begin with.
         resisting : function that returns the forces (d, n) of the springs against a change of the slips (d, n).
-        load : (unknowns,), torques that are to stay, or 0.
-        solves : number of solves; those after the first take away what rounding leaves.
+        load : (unknowns,), torques that the forces are to have, or 0.
+        solves : number of solves; those after the first correct the rounding.
         """
         rows = self._system.offset.shape
-        # each solve starts from the last forces: stretches become smaller, and so does what they are rounded by
+        # Each solve starts from the last forces: changes become smaller, and so do their rounding errors.
         for _ in range(solves):
             spins = self.solve(self._system.torques(dual.reshape(rows)) - load)
             pull = resisting(self._system.change(spins).reshape(dual.shape))
@@ -307,8 +308,8 @@ def _side_by_side(values: np.ndarray) -> np.ndarray:
 def _factorise_raising(
     factor: Factor, diagonal: np.ndarray, wanted: np.ndarray, first: int = 0
 ) -> tuple[np.ndarray, int]:
-    """Factorise S matrices, with the diagonal raised by as little as helps. Return a mask (S,) of the wanted matrices
-    in which that succeeds, and the index in DIAGONAL_SHIFTS of the largest addition that was tried.
+    """Factorise S matrices, each with the smallest addition to its diagonal (DIAGONAL_SHIFTS) with which that succeeds.
+    Return a mask (S,) of the wanted matrices that were factorised, and the index of the largest addition tried.
 
     factor : Cholesky factor whose `entries` hold the matrices.
     diagonal : (unknowns,) places of their diagonals among the entries.
@@ -331,8 +332,7 @@ def _factorise_raising(
 
 @lru_cache
 def _compile(engine: Engine, samples: int) -> None:
-    """Compile the kernels that factorise, by factorising for a lattice of 2 x 2 x 3 spheres: kernels are the same for
-    all.
+    """Compile the kernels that factorise, by use on a lattice of 2 x 2 x 3 spheres: kernels are the same for all sizes.
 
     engine : the way to factorise.
     samples : number of samples side by side, 1 or LANES.

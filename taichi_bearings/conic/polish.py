@@ -1,9 +1,9 @@
-"""The minimum when only some contacts slip, in twice the precision of doubles.
+"""Finds the minimum of the power, in twice the precision of doubles, when it is known which contacts slip.
 
-Slips reach down to 1e-15 of the imposed jump and below, where spins are rounded. To prove that they are slips, and not
-rounding, the spins have to be known far more precisely. Here the contacts that do not slip are tied exactly, the spins
-that are left are sums of two doubles (a Pair), and Newton's method, whose matrix may be a rough one, goes on until the
-torques are in balance to some 1e-30 of the friction.
+Slips can be 1e-15 of the imposed jump and less, which is below the rounding of spins. To prove that they are slips, and
+not rounding, spins have to be far more precise. Here the spins across contacts that do not slip are made exactly equal;
+the spins that are left are sums of two doubles (a Pair). Newton's method, whose matrix needs no such precision, goes on
+until torques balance to some 1e-30 of the friction.
 
 Letters: n contacts that are left, with up to d slip components; one array holds all samples, one after the other.
 """
@@ -25,10 +25,11 @@ from taichi_bearings.numerics.double_double import (
 )
 
 MOST_POLISHING_STEPS = 20  # most Newton steps
-# Torques over the largest friction that end them: in any case; and if it is also below a share of the smallest slip. A
-# torque moves slips by some multiple of itself, so that they are then known to about all digits that a double has.
+# Newton steps end when the largest torque, over the largest friction, is below POLISHED_TORQUE; or below SMALL_TORQUE
+# and SMALL_SHARE_OF_SLIP times the smallest slip. A torque changes slips by some multiple of itself, so that slips then
+# have about all digits of a double.
 POLISHED_TORQUE, SMALL_TORQUE, SMALL_SHARE_OF_SLIP = 1e-31, 3e-27, 1e-17
-MATRIX_CHANGE = 1e-2  # change of a slip by a step over the slip, above which the matrix is made anew
+MATRIX_CHANGE = 1e-2  # change of a slip by a step over the slip, above which the matrix is factorised anew
 FREE_STIFFNESS = 1e-20  # stiffness along a slip over that across it, for motions that nothing else resists
 MOST_SLIP_CHANGE = 0.5  # largest change of a slip by a step over the slip; beyond it the sample has failed
 SUM_BITS = 20  # bits that 2^20 numbers of one size may need in a sum without rounding
@@ -42,20 +43,19 @@ def polished(
     spins: Pair,
     chosen: np.ndarray,
 ) -> tuple[Pair, np.ndarray, np.ndarray, np.ndarray]:
-    """Return spins, slips and forces near the given ones, with all torques in balance to twice the precision.
+    """Return spins, slips and forces near the given spins at which all torques balance in twice the precision. Four
+    things: spins (unknowns,) of the whole system as sums of two doubles; slips (d, n); minus the friction forces (d,
+    n); and a mask (samples,) of the chosen samples in which that succeeds and no slip has become 0.
 
-    tied : the contacts that slip, over the sets of spins that the other contacts tie together.
+    tied : the n contacts that slip, with up to d slip components, over the sets of spins that the other contacts tie
+        together.
     matrix : Newton matrix of the system `tied.system`.
-    strengths : friction and viscosity (n,) of the contacts left; no viscosity: None.
-    spins : (unknowns left,), where to begin.
+    strengths : friction and viscosity (n,) of these contacts; no viscosity: None.
+    spins : (sets of tied spins,), where to begin, sums of two doubles.
     chosen : (samples,) mask of the samples to try.
-    returns : spins (unknowns,) of the whole system as sums of two doubles; slips (d, n); minus the friction forces (d,
-        n); mask (samples,) of the chosen samples in which it succeeds and no slip has become 0.
-
-    Letters: n contacts with up to d slip components.
     """
     system = _PreciseSystem(tied)
-    # the small parts of the given spins may be larger than the rounding of the large ones
+    # low parts of the given spins may be larger than the rounding of the high ones; two_sum makes them smaller
     balanced, slips, fine = _balanced(system, matrix, strengths, two_sum(*spins), chosen)
     return tied.expanded(balanced), slips[0], -_friction_along(strengths[0], slips)[0], fine
 
@@ -106,7 +106,8 @@ class _PreciseSystem:
     """Slips and torques of a system with tied contacts, in twice the precision. A contact is tied if the spins at its
     two ends are made equal, as one unknown; n contacts with up to d slip components are left.
 
-    contracted : the contacts that are left; its unknowns are sets of tied spins. owners : sample of each of them.
+    contracted : the contacts that are left; its unknowns are sets of tied spins.
+    owners : the sample of each unknown and of each contact.
     imposed : places in (d, n) where imposed spins contribute to the slips, as two arrays of indices, and how much, as
         sums of two doubles.
     """
@@ -139,16 +140,14 @@ class _PreciseSystem:
     def torques(self, pulls: Pair) -> np.ndarray:
         """Return the torques (unknowns,) of forces (d, n), rounded only once they have cancelled.
 
-        pulls : the forces, sums of two doubles. Their leading bits, multiples of one unit, are summed without any
-            rounding, then the bits that follow, then the rest.
-
-        Letters: n contacts with up to d slip components.
+        pulls : forces on n contacts with up to d slip components, sums of two doubles. Their leading bits, multiples of
+            one unit in each sample, are summed without any rounding, then the bits that follow, then the rest.
         """
         total, rest = np.zeros(self.contracted.unknowns), pulls[0]
         largest = self.owners.largest(np.abs(rest))
         for _ in range(2):
             grain = np.ldexp(1.5, np.frexp(largest)[1] + SUM_BITS)[self.owners.contacts]
-            leading = (rest + grain) - grain
+            leading = (rest + grain) - grain  # `rest` rounded to a multiple of the last bit of `grain`
             total = total + self.contracted.torques(leading)
             rest = rest - leading
             largest = largest * 2.0 ** (SUM_BITS - 52)
@@ -157,12 +156,10 @@ class _PreciseSystem:
 
 
 def _forces(strengths: Strengths, difference: Pair) -> Pair:
-    """Return the forces (d, n) of friction and viscosity at slips `difference` (d, n), as sums of two doubles, along
-    the slip: the sign with which they act is left out.
+    """Return the forces (d, n) of friction and viscosity in the direction of the slip, as sums of two doubles.
 
     strengths : friction and viscosity, (n,) each.
-
-    Letters: n contacts with up to d slip components.
+    difference : (d, n), slips of n contacts with up to d components, as sums of two doubles.
     """
     friction, viscosity = strengths
     held = _friction_along(friction, difference)

@@ -1,15 +1,15 @@
-"""One implicit Euler step in time of spheres under rigid friction, damping or both, solved as the minimum that it is.
+"""Makes implicit Euler steps in time of spheres under rigid friction, damping or both. A step is a minimisation:
 
     spins after = argmin Phi(spins) + I / (2 h) |spins - spins before|^2
 
-Phi is the potential of the contacts, I the moment of inertia, h the duration of the step. The contact forces of the
-minimum are those that act during the step: I (after - before) = h R pull. With friction the minimum lies at the end of
-the central path of the least potential with the inertia of the spins added (central_path.py); for damping it is one
-linear system. Both use one pattern of the matrix, analysed once for all steps and samples.
+Phi is the potential of the contacts, I the moment of inertia, h the duration of the step. The contact forces at the
+minimum act during the step: their torques over the radius R are I (after - before) / (h R). With friction the central
+path (central_path.py), with inertia added to the potential, ends at the minimum; with damping alone the minimum solves
+one linear system. Both use one pattern of the matrix, analysed once for all steps and samples.
 
-A step works with spins above the bottom plane in a given unit, and with forces in units of the sample's mean
-coefficient (times the normal force, or times radius and unit of spin for damping). One number is then left of inertia
-and duration, q = I / (h R) in units of force over spin.
+Spins are measured from the bottom plane in a given unit; forces are in units of the sample's mean coefficient (times
+the normal force, or times radius and unit of spin for damping). So inertia and duration enter by one number only, q = I
+/ (h R) in units of force over spin.
 
 Letters: R samples, C spin components, N spheres, E contacts; n contacts of the system.
 """
@@ -30,9 +30,9 @@ from taichi_bearings.conic.rows import compile_passes
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite, dissect
 from taichi_bearings.scene import Bearing, Scene
 
-# excess of the cost over its dual, relative to the work done on inertia, at which a step is solved; or LEAST_GAP
+# A step is solved if the cost is above its lower bound by at most SOLVED_EXCESS times the work done on inertia, or at
+# most LEAST_GAP times itself. Where rounding prevents that, the other two numbers decide whether the step has failed.
 SOLVED_EXCESS = 1e-10
-# such limits where the path cannot be followed to the end: beyond them a step has failed
 ACCEPTED_EXCESS, ACCEPTED_GAP = 1e-3, 1e-9
 PROXIMAL_TORQUE = 1e-13  # torque over the mean friction that may be left on a sphere
 MOST_IDLE_STEPS = 3  # most Newton steps in a row that gain nothing
@@ -43,7 +43,7 @@ class Step:
     """The result of one time step of all R samples of a scene, with C spin components, E contacts and N the shape of
     arrays over the spheres.
 
-    staggered : (C, R, *N), spins at its end times the sign by which neighbours differ, 1/time.
+    staggered : (C, R, *N), spins at its end, with the sign flipped on every second sphere of a lattice, 1/time.
     force : (C, R, E), contact forces during the step, by spin component that makes the contact slip.
     slipping : (R,), number of contacts that slip.
     creep : largest difference of spins across a contact that does not slip, 1/time, over all samples; 0 but for
@@ -61,7 +61,7 @@ class Step:
 
 
 class Unknowns(ABC):
-    """The spins of a bearing that contacts can turn, as one vector.
+    """The unknown spins of a bearing as one vector: those of free spheres, as far as contacts can change them.
 
     system : the contacts, as a function of the unknowns; imposed spins are in the unit of spin.
     order : (unknowns,), numbers of the unknowns in the order in which a Cholesky factorisation eliminates them.
@@ -135,8 +135,8 @@ class OfLattice(Unknowns):
         replica : number of the sample.
         spins : (unknowns,), the staggered spins to be written.
 
-        No contact changes the mean, over a layer, of the spin component along the height axis. So that mean is restored
-        here, lest rounding change it.
+        No contact changes the mean, over a layer, of the spin component along the height axis. Rounding does; so that
+        mean is restored here.
         """
         before = staggered[:, replica, ..., 1:-1].copy()
         place_free_spins(staggered, replica, spins)
@@ -147,8 +147,8 @@ class OfLattice(Unknowns):
 
 
 class OfNetwork(Unknowns):
-    """Free spins of any network, each multiplied by the root of its inertia over the mean one, so that all are equally
-    hard to turn. Components that turn no contact are left out.
+    """Free spins of any network, each multiplied by the root of its inertia over the mean one, so that the unknowns
+    have one inertia. Spin components that make no contact slip are left out.
 
     sphere : (unknowns,), number of the sphere of each unknown.
     component : (unknowns,), number of the spin component of each unknown.
@@ -244,8 +244,8 @@ class ProximalSteps:
     def step(self, staggered: np.ndarray, duration: float) -> Step:
         """Return the implicit Euler step in time of all R samples that begins at given spins.
 
-        staggered : (C, R, *N), spins of C components and N spheres times the sign by which neighbours differ, 1/time;
-            of a packing u = radius * spin.
+        staggered : (C, R, *N), spins of C components and N spheres, on a lattice with the sign flipped on every second
+            sphere, 1/time; of a packing u = radius * spin.
         duration : length of the step, time.
         """
         scene = self.scene
@@ -310,12 +310,12 @@ class ProximalSteps:
 
 
 def _excess(iterate: Iterate, sharp: float = SOLVED_EXCESS, closest: float = LEAST_GAP) -> float:
-    """Return how far the cost of a point is above the lower bound that its forces prove, divided by what is allowed: a
-    step is solved if the result is at most 1.
+    """Return how far the cost of a point is above the lower bound that its forces prove, divided by the allowed
+    distance: a step is solved if the result is at most 1.
 
     iterate : the point on the path that is judged.
-    sharp : allowed excess over the work done on inertia.
-    closest : allowed excess over the cost; the larger one of both counts.
+    sharp, closest : the allowed distance is the larger one of `sharp` times the work done on inertia and `closest`
+        times the cost.
     """
     assert iterate.inertia is not None
     moved = iterate.spins - iterate.inertia.origin

@@ -1,4 +1,4 @@
-"""Spins at which chosen contacts of a packing roll, that is do not slip, as sums of two doubles.
+"""Finds spins, as sums of two doubles, at which chosen contacts of a packing roll, that is do not slip.
 
 Letters: A contacts of the system, d tangents of a contact (1 for discs, 2 for spheres), u = radius * spin.
 """
@@ -15,11 +15,12 @@ from taichi_bearings.scene.packing import Packing
 
 LOOSE = 1e-8  # stiffness of the contacts that may slip, over that of the contacts that have to roll
 MOST_CORRECTIONS = 8  # least-squares corrections of the spins at most
-NONE_IN_PAIRS = 1e-30  # slip, in units of the fastest imposed surface, that sums of two doubles cannot reduce further
+NONE_IN_PAIRS = 1e-30  # slip over the fastest imposed speed that sums of two doubles cannot reduce further
 
 
 def rolled(system: ContactSystem, packing: Packing, spins: Pair, rolls: np.ndarray) -> Pair:
-    """Return spins (unknowns,) near the given ones at which some contacts roll, or the given ones where none are found.
+    """Return spins (unknowns,) near the given ones at which some contacts roll; the given spins if the matrix for that
+    is singular.
 
     system : the A contacts as a function of the unknown spins.
     packing : the spheres whose contacts they are.
@@ -28,8 +29,8 @@ def rolled(system: ContactSystem, packing: Packing, spins: Pair, rolls: np.ndarr
 
     The slips y of these contacts are computed from the normals and the imposed spins as they are stored. Each
     correction x of the spins solves K x = -y by least squares, with the matrix K from spins to slips. The other
-    contacts enter with a weak weight LOOSE that only keeps the matrix regular. So slips fall by some orders of
-    magnitude each time, down to the rounding of sums of two doubles.
+    contacts have the weak weight LOOSE, which only keeps the matrix regular. Each correction reduces slips by some
+    orders of magnitude, down to the rounding of sums of two doubles.
     """
     matrix = NewtonMatrix(system, order_by_place(system))
     try:

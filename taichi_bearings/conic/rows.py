@@ -1,7 +1,9 @@
-"""Numbers of all contacts as the kernels of a Newton step take them, for one sample or several side by side.
+"""The table of numbers that the kernels of a Newton step read and write: a row for each kind of number (bound, slip,
+force, ...), a column for each contact, for one sample or several.
 
-Letters: n contacts with d slip components, S samples (1 or LANES), as in conic/__init__.py. The names of the rows
-(BOUND, SLIP, DUAL, ...) and what each holds are in kernels/central_path.py.
+A *pass* calls one function for every contact; the function reads some rows and writes others. Letters: n contacts with
+up to d slip components, S samples (1 or LANES), as in conic/__init__.py. The names of the rows (BOUND, SLIP, DUAL, ...)
+and what each holds are in kernels/central_path.py.
 """
 
 from collections.abc import Callable
@@ -20,8 +22,8 @@ from taichi_bearings.memory import aligned_zeros
 
 # padding contacts: finite in every formula, with negligible power
 PADDING = {kernels.FRICTION_ROW: 1e-300, kernels.BOUND: 1.0, kernels.SLIP: 1.0, kernels.SMOOTH: 1.0}
-# a sample of more contacts has sums in SUM_PARTS parts, which are then added up; from the second number on threads
-# share the passes over a sample: in smaller ones they gain less time than their kernels take to load
+# From PARTED_CONTACTS contacts on the sums over a sample are made in SUM_PARTS parts, which are then added up. From
+# SHARED_CONTACTS on threads share these parts: in smaller samples that gains less time than loading the kernels takes.
 PARTED_CONTACTS, SHARED_CONTACTS, SUM_PARTS = 16_000, 80_000, 64
 MOST_CONSTANTS = 5  # most numbers of each sample that a pass over the contacts takes
 # tables that say which numbers to add and to subtract, for kernels.add_up; or a matrix of other factors
@@ -101,11 +103,11 @@ class ContactRows:
         self._matrices: dict[int, sparse.csr_array] = {}
 
     def _place_of_sums(self) -> tuple[int, np.ndarray]:
-        """Return how many successive blocks of contacts add to the same sums; and an array for what passes find,
-        (found, parts * BLOCK, S).
+        """Return two things: how many successive blocks (of BLOCK numbers) add to the same partial sums; and memory for
+        the partial results of a pass, (FOUND results, parts * BLOCK, S samples).
 
-        Blocks of one sample add to the same sums if they are in one part of its contacts. Blocks of several samples, of
-        which successive ones belong to other samples, take turns.
+        A large single sample is divided into SUM_PARTS parts with sums of their own. Where several samples are
+        computed together, each block adds to other sums than the block before it.
         """
         parts = SUM_PARTS if self.samples == 1 and self._contacts > PARTED_CONTACTS else 1
         span = max(1, -(-self._length // (parts * kernels.BLOCK))) if self.samples == 1 else 1
@@ -113,17 +115,16 @@ class ContactRows:
         return span, found.reshape(kernels.FOUND, parts * kernels.BLOCK, self.samples)
 
     def _places(self, count: int) -> np.ndarray:
-        """Return the indices (count * n,) of the numbers of n contacts in `count` successive rows of memory, row by
-        row, counted from the begin of the first row. (A row is longer than n, as SIMD blocks are filled up.)"""
+        """Return where the numbers of n contacts stand in `count` successive rows: indices (count * n,), row by row,
+        counted from the beginning of the first row. (A row is longer than n, as SIMD blocks are filled up.)"""
         return (self._at + self._contacts * np.arange(count)[:, None]).ravel()
 
     def run(self, kernel: kernels.Passes, slots: tuple[int, int] = (0, 0), *numbers: float | np.ndarray) -> np.ndarray:
-        """Make a pass over all contacts and return what it finds for each of S samples, (found, S): minima over the
-        contacts first, then sums; (0, S) for a pass that finds nothing.
+        """Make a pass over all contacts. Return its results for each of S samples, (FOUND, S): first minima over the
+        contacts, then sums; (0, S) for a pass without results.
 
         kernel : the pass.
-        slots : memory has rows for two Newton steps; the number (0 or 1) of the one whose rows the kernel reads, and of
-            the one whose rows it writes.
+        slots : the table has rows for two Newton steps, 0 and 1: which of them the kernel reads, and which it writes.
         numbers : constants of the kernel, at most MOST_CONSTANTS, each one number or (S,).
         """
         if by_numpy.is_quicker(self._contacts, self.samples):
@@ -139,18 +140,25 @@ class ContactRows:
         )
 
     def _launch(self, kernel: kernels.Passes, slots: tuple[int, int], numbers: tuple[float | np.ndarray, ...]) -> None:
-        """Launch a kernel over all contacts; what it finds is then in `_found`. Arguments are those of :meth:`run`."""
+        """Launch a kernel over all contacts; its partial results are then in `_found`.
+
+        kernel : the pass.
+        slots : which of the two Newton steps in memory (0 or 1) is read, and which is written.
+        numbers : constants of the kernel, each one number or (S,).
+        """
         for own, number in zip(self._numbers, numbers, strict=False):
             own[:] = number
         if kernel.finds:
             self._found[: kernels.LEAST_FOUND], self._found[kernels.LEAST_FOUND :] = np.inf, 0.0
         key = (kernel, slots)
         if key not in self._starts:
-            blocks, turns = self._length // kernels.BLOCK, self._found.reshape(-1, kernels.BLOCK)
-            arrays = self._flat, self._flat.reshape(-1, kernels.BLOCK), turns, self._numbers.ravel()
-            own = kernel.one if self._first_two == blocks else kernel.both if self._first_two else kernel.two
-            own, ends = kernel.shared if self.shared else own, (self._length, self._first_two, blocks, self._span)
-            self._starts[key] = [prepared(own, *arrays, *ends, *slots)] if blocks else []
+            blocks, results = self._length // kernels.BLOCK, self._found.reshape(-1, kernels.BLOCK)
+            arrays = self._flat, self._flat.reshape(-1, kernels.BLOCK), results, self._numbers.ravel()
+            # kernel for contacts that all have one slip component, or all two, or either
+            fitting = kernel.one if self._first_two == blocks else kernel.both if self._first_two else kernel.two
+            fitting = kernel.shared if self.shared else fitting
+            ends = self._length, self._first_two, blocks, self._span
+            self._starts[key] = [prepared(fitting, *arrays, *ends, *slots)] if blocks else []
         for start in self._starts[key]:
             start()
 

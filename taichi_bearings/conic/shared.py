@@ -1,8 +1,8 @@
-"""Makes what all samples on a network share, and keeps that of the last network: its rows (slips as functions of
-spins), an order of elimination, and the matrix of Newton steps.
+"""Makes what all samples of a network share, and keeps it for the last network: the contact system (slips as functions
+of spins), an order of elimination, and the matrix of Newton steps.
 
-Samples of one network differ only in the friction of their contacts. So what follows from the network alone is made
-once, and small samples are factorised side by side.
+Samples of one network differ only in the coefficients of their contacts. So what follows from the network alone is made
+once.
 """
 
 import threading
@@ -40,11 +40,11 @@ class LastNetwork(threading.local):
     made: Made | None = None
 
     def find(self, of: object, arrays: tuple[np.ndarray, ...], make: Callable[[], Made]) -> Made:
-        """Return the field `made` if it belongs to the same network. Else free it, and return the result of `make`,
-        which takes its place.
+        """Return the contact system of a network, and what its samples share: the field `made` if it belongs to this
+        network, else the result of `make`, which is then kept in that field.
 
         of, arrays : identity of the network: an object that is compared by ==, and arrays.
-        make : function that makes the contact system of the network, and what its samples share.
+        make : function that makes them.
         """
         known = self.of
         same = known is not None and known[0] == of and all(map(np.array_equal, known[1], arrays))
@@ -63,13 +63,12 @@ last = LastNetwork()
 
 
 def system_of(bearing: Bearing) -> ContactSystem:
-    """Return the contact system of a bearing (slips as functions of the unknown spins), with so many spins held at 0
-    that the spheres have no motion left at which no contact slips. If only coefficients differ from the bearing of the
-    last call, as between seeds, it is the one returned then.
+    """Return the contact system of a bearing (slips as functions of the unknown spins). Some spins are held at 0 if
+    otherwise the spheres could move without slip of any contact, which would make the Newton matrix singular. If only
+    coefficients differ from the bearing of the last call, as between seeds, the system of that call is returned.
 
-    Motions without slip make the Newton matrix singular. With normals in any directions there are hardly ever such
-    motions. One factorisation, which is needed anyway, proves that; only if it fails, motions are searched by
-    elimination.
+    With normals in any directions there are hardly ever motions without slip. If the least eigenvalue of the factorised
+    matrix shows that there are none (`NewtonMatrix.is_regular`), they are not searched by elimination.
 
     bearing : spheres, contacts, and what is driven.
     """
@@ -92,8 +91,8 @@ def system_of(bearing: Bearing) -> ContactSystem:
 
 def surroundings_of(system: ContactSystem) -> Surroundings:
     """Return what all samples on the network of a contact system share: the contacts, an order in which unknowns are
-    eliminated, and the Newton matrix. The contacts are those of `system`, or where possible the same over signed spins,
-    so that each slip is a difference of two unknowns.
+    eliminated, and the Newton matrix. If possible the contacts are those over signed spins, so that each slip is a
+    difference of two unknowns (`ContactSystem.signed`); else those of `system`.
 
     It is kept for later calls, of other samples, if the system is the last that :func:`system_of` has returned in this
     thread, and has fewer than KEPT_UNKNOWNS unknowns.
@@ -109,9 +108,8 @@ def surroundings_of(system: ContactSystem) -> Surroundings:
 
 def surroundings_of_lattice(lattice: Lattice, spin_axes: tuple[int, ...], top: Pair, small: bool) -> Surroundings:
     """Return what all samples of a lattice share: contact system over staggered spins, order of elimination, and Newton
-    matrix; no matrix if top and bottom have the same spins, so that nothing has to be solved.
-
-    It is kept for other samples if there are fewer than KEPT_UNKNOWNS unknowns.
+    matrix; no matrix if top and bottom have the same spins, so that nothing has to be solved. With fewer than
+    KEPT_UNKNOWNS unknowns it is kept for other samples.
 
     lattice : the spheres and contacts.
     spin_axes : numbers of the axes of the C spin components that are computed.
@@ -136,11 +134,9 @@ def surroundings_of_lattice(lattice: Lattice, spin_axes: tuple[int, ...], top: P
 
 
 def is_small(system: ContactSystem) -> bool:
-    """Return True for systems of which several samples are factorised in one launch. Which of their contacts slip is
-    then first guessed from the last step of the central path.
-
-    Over plain spins (`system.sign` is None) the number of unknowns decides; over signed spins, as on lattices, the
-    number of spheres with an unknown spin.
+    """Return True for a system whose matrix is so small that several samples are factorised in one launch of a kernel.
+    Over signed spins the number of spheres with an unknown spin decides, over plain spins (`system.sign` is None) the
+    number of unknowns.
     """
     if system.sign is None:
         return system.unknowns < LAUNCH_UNKNOWNS

@@ -1,10 +1,10 @@
-"""A weaker friction, for very strong contacts, with which the minima are the same.
+"""Reduces the friction of very strong contacts without a change of the minima.
 
-Theorem. Let the whole top turn alike, as the whole bottom does. Then, if no force is larger than it has to be, the
-forces along each spin component are a flow from the top to the bottom without circles. On no contact is it larger than
-the friction C of all contacts of a cut, a set of contacts whose removal parts top and bottom. So a contact with more
-friction than C for each component that it slips with rests at every minimum, and it still does with friction 2 C:
-power, spins and slips of the minima stay the same. The frictions that are left span fewer decades, and the rounding of
+Theorem. Let all spheres of the top have one spin, and all of the bottom. Then contact forces in balance, along one spin
+component, are a flow from top to bottom; it can be chosen without circles. On no contact is that flow larger than the
+total friction C of a cut, a set of contacts whose removal separates top and bottom. So a contact whose friction exceeds
+C times the number of its slip components rests at every minimum. With friction 2 C for each component it still does:
+power, spins and slips of the minima stay the same. The reduced frictions span fewer decades, so that the rounding of
 strong contacts no longer hides weak ones.
 """
 
@@ -18,12 +18,12 @@ SPREAD = 1e3  # ratio of largest and smallest friction up to which nothing is ch
 
 
 def weakened(system: ContactSystem, friction: np.ndarray) -> np.ndarray:
-    """Return the friction (n,) of n contacts of a lattice with that of the strongest ones reduced, as far as is proven
-    not to change the minima: a contact that can bear more than all contacts of a cut together rests at every minimum.
+    """Return the friction (n,) of n contacts of a lattice, reduced for the strongest ones as far as is proven not to
+    change the minima: a contact that can bear more than all contacts of a cut together rests at every minimum.
 
     system : the n contacts of a lattice.
-    friction : (n,), all positive. It is returned as it is where it spans few decades (SPREAD), or the top does not turn
-        as one.
+    friction : (n,), all positive. It is returned unchanged if it spans few decades (SPREAD), or if the spins of the top
+        differ.
     """
     if friction.max() <= SPREAD * friction.min() or not _is_uniform(system):
         return friction
@@ -36,8 +36,8 @@ def weakened(system: ContactSystem, friction: np.ndarray) -> np.ndarray:
 
 
 def _is_uniform(system: ContactSystem) -> bool:
-    """Return True if, in each slip component, imposed spins add one and the same number to all slips to which they add
-    anything. That is so where the whole top of a lattice turns alike.
+    """Return True if all spheres of the top have one spin: if in each slip component the imposed spins add the same
+    number to every slip to which they add anything.
 
     system : the contacts: `slot` is the component of each slip, `offset` what imposed spins add to it.
     """

@@ -1,10 +1,10 @@
-"""Finds where minima are not unique: contacts that slip at some minima and rest at others (state TIED). This is done in
-doubles, without a proof.
+"""Finds contacts that slip at some minima and rest at others (state TIED), in doubles and without a proof.
 
-All minima share the directions of slip. So they form a polyhedron in the slip speeds: from one minimum the others are
-reached by motions of sets of spheres that slipless contacts tie together, which change no slip's direction, and go only
-so far that no slip is reversed. Equal friction makes such motions possible, for example of a set of spheres that two
-neighbours pull with the same force in opposite directions.
+At all minima a contact that slips does so in the same direction. So one minimum is changed into another by a motion
+that changes no slip's direction and reverses no slip. Contacts that rest at every minimum tie spheres together; a
+motion turns such sets of spheres as a whole. For example, two neighbours with equal friction may pull a set with the
+same force in opposite directions. With k independent motions, the slips of n contacts that y (k,) of them lead to are
+slips + rates @ y, and the minima are the polyhedron on which none of these is negative.
 
 Letters: n contacts with up to d slip components, k independent motions; y (k,) how far each motion goes.
 """
@@ -56,9 +56,10 @@ def sometimes_slipping(
         return found
     tied = Contraction(system, order, ~(slipping | at_limit))
     slipping, difference, dual = slipping[tied.kept], difference[:, tied.kept], dual[:, tied.kept]
+    # a contact at its limit can begin to slip in one direction only, that of -dual
     one_way = np.where(np.abs(dual) > NOISE_SHARE * np.abs(dual).max(axis=0), -dual, 0.0)
-    towards = np.where(slipping, difference, one_way)  # contacts at their limit can slip in one way alone
-    # Motions along which minima may differ, and the rates at which they change each slip.
+    towards = np.where(slipping, difference, one_way)
+    # Motions along which minima may differ, and the rates at which they change each slip, the largest of a motion 1.
     motions = _turning_no_slip(tied, towards)
     if motions.shape[1] == 0:
         return found
@@ -70,15 +71,15 @@ def sometimes_slipping(
 
 
 def _turning_no_slip(tied: Contraction, difference: np.ndarray) -> np.ndarray:
-    """Return k independent motions, a matrix (unknowns, k), that change the direction of no slip. An unknown is a set
-    of spins that move together; all motions of this kind are sums of the k columns.
+    """Return k independent motions that change the direction of no slip, a matrix (unknowns, k); all motions of this
+    kind are sums of its columns. An unknown is the spin of a set of spheres that turn together.
 
     tied : the contacts that slip or are at their limit, over the sets of spins that the other contacts tie together.
     difference : (d, contacts), slips, or directions in which contacts can begin to slip.
 
-    A slip with one component always keeps its direction. A slip with two components keeps it if its change across
-    itself is 0: one equation for each. The equations join unknowns to blocks; blocks of more than MOST_BLOCK_UNKNOWNS
-    unknowns are left out.
+    A slip with one component always keeps its direction. A slip with two components keeps it if the component of its
+    change at right angles to it is 0: one equation for each contact. Unknowns that equations join form a block; blocks
+    of more than MOST_BLOCK_UNKNOWNS unknowns are left out.
     """
     unknowns, count = tied.unknowns, difference.shape[1]
     conditions = sparse.csr_array((0, unknowns))
@@ -105,7 +106,7 @@ def _turning_no_slip(tied: Contraction, difference: np.ndarray) -> np.ndarray:
 
 def _blocks(unknowns: int, rows: np.ndarray, columns: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return the blocks of a sparse matrix with a column for each unknown: groups of unknowns that no row joins with
-    others. A block is a pair: its unknowns, and the indices of its entries, in rising order both.
+    other groups. A block is a pair: its unknowns, and the indices of its entries, both in rising order.
 
     unknowns : number of unknowns.
     rows, columns : (entries,), where the entries stand, row by row.
@@ -125,9 +126,9 @@ def _sometimes_zero(slips: np.ndarray, rates: np.ndarray) -> np.ndarray:
     others.
 
     slips : (n,), slip speeds at one minimum, 0 or more.
-    rates : (n, k), their changes by k motions.
+    rates : (n, k), their changes by k motions; y (k,) says how far each motion goes.
 
-    Motions that share no contact are looked at separately.
+    Motions that share no contact are treated separately.
     """
     found = np.zeros(len(slips), dtype=bool)
     contact, motion = np.nonzero(rates)
@@ -142,9 +143,8 @@ def _sometimes_zero_of_part(first: np.ndarray, rates: np.ndarray) -> np.ndarray:
     """Return a mask (n,) of the slips that vanish at some corners of the polyhedron first + rates @ y >= 0, and not at
     others.
 
-    first : (n,), slips at one minimum, which is y = 0: 1 where a contact slips, as each slip is measured by its value
-        there, and 0 where it does not.
-    rates : (n, k), changes of the slips by k motions.
+    first : (n,), slips at the minimum y = 0, which are the units of slip: 1 where a contact slips, 0 where it does not.
+    rates : (n, k), changes of the slips by k motions; y (k,) says how far each motion goes.
 
     If there are more than MOST_CORNERS candidates for corners, the mask is True for all: motions that mix so many
     contacts occur where friction is the same everywhere.
@@ -161,11 +161,10 @@ def _corners(first: np.ndarray, rates: np.ndarray) -> np.ndarray:
     """Return the corners (corners, k) of the polyhedron first + rates @ y >= 0, |y| <= LONGEST_MOTION: the points at
     which k of these bounds are equalities and the others hold.
 
-    first : (n,), slips.
-    rates : (n, k), their changes by k motions.
-
-    Letters: n contacts.
+    first : (n,), slips of n contacts at y = 0.
+    rates : (n, k), their changes by k motions; y (k,) says how far each motion goes.
     """
+    # every k of the bounds meet in a point, if they are independent; it is a corner if all other bounds hold there
     box, motions = np.eye(rates.shape[1]), rates.shape[1]
     bounds, offsets = np.vstack([rates, box, -box]), np.append(first, np.full(2 * motions, LONGEST_MOTION))
     meeting = np.array(list(combinations(range(len(bounds)), motions)))
