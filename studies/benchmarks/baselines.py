@@ -93,7 +93,9 @@ class NumpySweep:
             self._move()
 
     def _find_forces(self) -> None:
-        """Compute the friction of all contacts, one axis after another, into `force`."""
+        """Compute the friction of all contacts, one axis after another, into `force`. It has buffers for each axis: one
+        for each of the spin components (`kept`) that make contacts along this axis slip.
+        """
         start, sites = self.layout.margin, self.layout.sites
         for axis, (kept, stride) in enumerate(zip(self.kept, self.layout.strides, strict=True)):
             count = sites + stride  # contacts of all lower spheres, from one stride below the first site on

@@ -65,6 +65,7 @@ def measure(settings: RunSettings, names: Sequence[str], with_peers: bool, round
     scene = build_scene(settings)
     label, sites = f"{'x'.join(map(str, settings.shape))} {settings.law}", scene.lattice.sites
     seconds, calls = settings.time_limit or np.inf, dict[str, Callable[[int], Row]]()
+    # functions that run once each method, and each conic solver, that can solve the scene
     for name in names:
         options = METHODS[name]()
         reason = options.refusal(scene)
@@ -82,6 +83,7 @@ def measure(settings: RunSettings, names: Sequence[str], with_peers: bool, round
     if not calls:
         raise InputError(f"none of the methods asked for can solve {label}; choose others by --methods")
     about = {"shape": settings.shape, "law": settings.law, "seed": settings.seed, "threads": settings.threads}
+    # everything runs once; what is quick runs again, in rounds, and the run of the median time is kept
     runs = {name: [call(0)] for name, call in calls.items()}
     brief = {name: calls[name] for name, (first,) in runs.items() if first["seconds"][-1] < BRIEF}
     for name, again in in_turns(brief, rounds - 1).items():

@@ -151,6 +151,7 @@ def planned(
         plan = replace(plan, precisions=(RunSettings(precision=precision).precision,))
     laws = [RunSettings(law=name).law for name in law]
     scenes = tuple(scene for scene in plan.scenes if scene[1] in (laws or ("coulomb", "viscous")))
+    # lattices that the user names replace those of all benchmarks that can take them
     if shape:
         found = tuple(RunSettings(shape=text).shape for text in shape)
         scenes = tuple((one, name) for name in laws or ("coulomb",) for one in found)

@@ -77,6 +77,7 @@ def study(folder: Path, effort: Effort) -> StudyResult:
     effort : first seed, number of samples, and whether it is the quick form.
     """
     sizes, tall, long = (QUICK_SIZES, QUICK_TALL, QUICK_LONG) if effort.quick else (SIZES, TALL, LONG)
+    # kinds and sizes of lattices, and samples of each
     points = {("held", size, 2 * int(WIDTH * size ** (2 / 3)) + 3): several for size, several in sizes.items()}
     points |= {("free", FREE, height): OF_FREE for height in tall}
     wanted = {point: max(BLOCK, several * effort.samples) for point, several in points.items()}
@@ -85,6 +86,7 @@ def study(folder: Path, effort: Effort) -> StudyResult:
     held, free = (Table.of([row for row in rows if row["ends"] == kind]) for kind in ("held", "free"))
     weight, middle = ({p[1]: of[name] for p, of in found.items() if p[0] == "held"} for name in ("weight", "middle"))
     theta, zeta = exponent(weight), exponent(middle)
+    # skewness of the least of several weights of the next lower lattice, to compare with that of this height
     lightest = {
         high: skewness_of_least(found["free", FREE, low]["weight"], high // low) for low, high in pairwise(tall)
     }

@@ -84,19 +84,20 @@ def network(lattice: str, size: int, odd: int, bottom: float, seed: int) -> Pack
     Raises InputError if `odd` is more than a share DENSEST of the places.
     """
     rng = np.random.default_rng([seed, size, odd])
-    bare, holes, tree, reach = _without_odd_loops(lattice, size, bottom)
+    bare, holes, tree, distance = _without_odd_loops(lattice, size, bottom)
     places, most = len(holes), int(DENSEST * len(holes))
     if odd > most:
         raise InputError(
             f"odd, the number of contacts that close odd loops, is {odd}; in this lattice it can be at most {most}, "
             f"since of the {places} places for such contacts not all can be used at once"
         )
+    # choose places, and find the discs around each
     hole = rng.permutation(holes)[:odd]
-    around = np.array([sorted(discs) for discs in tree.query_ball_point(hole, reach)], dtype=int)
-    if lattice != "triangular":
+    around = np.array([sorted(discs) for discs in tree.query_ball_point(hole, distance)], dtype=int)
+    if lattice != "triangular":  # one of the two diagonals of each square
         center, rising = bare.center, rng.random((odd, 1)) < 0.5
         added = np.where(rising, around.reshape(-1, 4)[:, [0, 3]], around.reshape(-1, 4)[:, [1, 2]])
-    else:
+    else:  # a disc in each hexagon, with contacts to all six around it
         center = np.concatenate([bare.center, hole])
         added = np.stack([around.ravel(), np.repeat(np.arange(bare.spheres, len(center)), 6)], axis=1)
     contact, more = np.concatenate([bare.contact, added]), len(center) - bare.spheres
@@ -123,16 +124,17 @@ def _without_odd_loops(lattice: str, size: int, bottom: float) -> tuple[Packing,
     size : length of each side in diameters.
     bottom : spin of the bottom; that of the top is 1.
     """
+    # centres of all squares or hexagons; those that reach beyond the lattice are removed below
     if lattice == "triangular":
         bare = Packing.lattice("honeycomb", (round(size / 3**0.5), round(size / 3)), spin_bottom=bottom)
-        hole, margin, reach = bare.center[::2] + (0.0, 1.0), np.full(2, 0.75), 1.25
+        hole, margin, distance = bare.center[::2] + (0.0, 1.0), np.full(2, 0.75), 1.25
     else:
         bare = Packing.lattice(lattice, (size,) * DIMENSION[lattice], spin_bottom=bottom)
-        sides = {"square": np.ones((1, 2)), "cubic": 1 - np.eye(3)}[lattice]  # of squares, by their planes
-        hole, reach = (bare.center[:, None] + 0.5 * sides).reshape(-1, DIMENSION[lattice]), 0.75
-        margin = np.array([-0.25] * (DIMENSION[lattice] - 1) + [0.25])  # not between driven spheres alone
+        sides = {"square": np.ones((1, 2)), "cubic": 1 - np.eye(3)}[lattice]  # of a square in each lattice plane
+        hole, distance = (bare.center[:, None] + 0.5 * sides).reshape(-1, DIMENSION[lattice]), 0.75
+        margin = np.array([-0.25] * (DIMENSION[lattice] - 1) + [0.25])  # no square has driven spheres alone
     whole = (hole > bare.center.min(axis=0) + margin) & (hole < bare.center.max(axis=0) - margin)
-    return bare, hole[whole.all(axis=1)], cKDTree(bare.center), reach
+    return bare, hole[whole.all(axis=1)], cKDTree(bare.center), distance
 
 
 def spins_at_minimum(lattice: str, packing: Packing) -> np.ndarray:
@@ -162,6 +164,7 @@ def draw(lattice: str, size: int, odd: int, bottom: float, samples: int, seed: i
     for number in range(seed, seed + samples):
         packing = network(lattice, size, odd, bottom, number)
         spin = spins_at_minimum(lattice, packing)
+        # the same driven spins with all others at rest
         at_rest = spin * (packing.driven >= 0).reshape(-1, *[1] * (spin.ndim - 1))
         speed = np.linalg.norm(spin.reshape(len(spin), -1), axis=1)[packing.driven < 0]
         found["rolling"].append(float((speed > 0.5).mean()))
@@ -257,6 +260,7 @@ def study(folder: Path, effort: Effort) -> StudyResult:
         for lattice, of in shares.items()
         if (enough := [size for size, part in of.items() if part * effort.samples >= BLOCK])
     }
+    # points (lattice, L, n, spin of the bottom) with the bottom at rest and, for one size of discs, rotating
     turned, discs = max(sizes["square"]) if effort.quick else TURNED, ("square", "triangular")
     points = [(lattice, L, n, 0.0) for lattice, of in sizes.items() for L in of for n in dilute(lattice, L, numbers)]
     wanted = {point: round(effort.samples * shares[point[0]][point[1]]) for point in points}
@@ -266,12 +270,14 @@ def study(folder: Path, effort: Effort) -> StudyResult:
     ]  # fmt: skip
     wanted |= dict.fromkeys(turning, round(effort.samples * OF_TURNED))
     found = drawn(draw, wanted, BLOCK, effort.seed, folder / "odd-loops.jsonl")
+    # the table: for each point mean and standard error of all numbers
     rows = []
     for (lattice, size, odd, bottom), of in found.items():
         row = {"lattice": lattice, "size": size, "odd": odd, "omega_bottom": bottom, "samples": len(of["rolling"])}
         for name, values in of.items():
             row |= {name: values.mean(), f"{name}_error": values.std(ddof=1) / len(values) ** 0.5}
         rows.append(row)
+    # shares that roll with the bottom at rest, and that rest with the bottom rotating
     rolling: dict[str, Any] = {lattice: {L: {} for L in of} for lattice, of in sizes.items()}
     for lattice, L, n, _ in points:
         rolling[lattice][L][n] = found[lattice, L, n, 0.0]["rolling"]
@@ -279,6 +285,7 @@ def study(folder: Path, effort: Effort) -> StudyResult:
     resting = {
         lattice: {bottom: found[lattice, turned, most, bottom]["resting"] for bottom in BOTTOMS} for lattice in discs
     }
+    # exponents at which the curves of all sizes fall onto one
     known = {lattice: well_sampled(curves) for lattice, curves in rolling.items()}
     ruled = {lattice: collapse(curves) for lattice, curves in known.items() if len(curves) > 1}
     count = {lattice: sum(n for point, n in wanted.items() if point[0] == lattice) for lattice in sizes}

@@ -102,6 +102,7 @@ def study(folder: Path, effort: Effort) -> StudyResult:
     wanted = {
         (L, lowest): max(BLOCK, round(part * effort.samples)) for lowest, of in sizes.items() for L, part in of.items()
     }
+    # minima of cubes and of towers, which are higher than wide; and cut surfaces, of other samples
     minima = measured(planned(SCANS, effort), numbers_of, folder / "surfaces.jsonl")
     found = drawn(cuts, wanted, BLOCK, effort.seed, folder / "surfaces-cuts.jsonl")
     is_cube = minima.side == minima.height
@@ -109,6 +110,7 @@ def study(folder: Path, effort: Effort) -> StudyResult:
     towers = minima[~is_cube].by("layers", "height")
     weight = {L: of["weight"] for (L, lowest), of in found.items() if lowest == 0}
     flat = {lowest: {L: found[L, lowest]["roughness"] for L in of} for lowest, of in sizes.items()}
+    # exponents: of the weight and the width of cuts; of power over cut, and of the layers, at minima of cubes
     theta, zeta = exponent(weight), exponent(flat[0.0], np.mean)
     both = {side: np.stack([of.power, of.cut], axis=1) for side, of in cubes.items()}
     weaker = exponent(both, lambda powers: powers[:, 0].var() / powers[:, 1].var(), further=())

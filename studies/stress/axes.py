@@ -398,6 +398,7 @@ def _start(case: Case, value: str, row: Row) -> Case:
     """
     scene = case.scene
     shape = scene.lattice.shape if row.dimension == 2 else (*scene.lattice.shape, 3)
+    # fixed, so that all rows start from the same spins
     rng = np.random.default_rng(5)
     parity = scene.lattice.parity if row.dimension == 2 else scene.lattice.parity[..., None]
     made: dict[str, Callable[[], np.ndarray]]

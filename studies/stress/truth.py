@@ -329,6 +329,7 @@ def layered(scene: Scene) -> Truth:
             raise ValueError(
                 "with friction and viscosity the imposed spins of all spheres in a driven plane must be equal"
             )
+        # contacts of the first column, which all columns are like; each distinct jump is solved once
         first = scene.lattice.spans[-1].start
         a, c = (costs.tolist() for costs in _costs(scene, slice(first, first + scene.lattice.shape[-1] - 1)))
         if not any(across):

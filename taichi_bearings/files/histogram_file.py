@@ -31,6 +31,7 @@ def write_table(path: Path, histograms: Histograms, by: str | None = None, where
     The header says how many contacts are in no bin. Where several samples are pooled, the columns standard_error,
     density and density_error follow. Several histograms stand below each other.
     """
+    # the header: what is in no bin, and how many samples were pooled
     notes = []
     for value, found in histograms.items():
         part = "" if by is None else f"{by} {value}: "

@@ -51,6 +51,7 @@ def draw_spins(structure: Structure, page: Page = PAGE, title: str = "", note: s
     counted = f"{int(slips.sum()):,} of {movable:,} contacts slip"
     drawn = slips & (slips.sum() <= max(MOST_SLIPS * movable, FEW_SLIPS))
     system, place, spin = structure.scene, structure.network.whole, structure.scene.driving.shown(structure.spin)
+    # speed of each sphere on the scale of colours
     if place.lattice is None:
         surface_velocity = spin.reshape(place.spheres, -1) * place.radius[:, None]
         speed = np.linalg.norm(surface_velocity, axis=1) / (structure.fastest or 1.0)

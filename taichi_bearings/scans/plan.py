@@ -170,12 +170,14 @@ def _read(path: Path, overrides: Sequence[str] = ()) -> tuple[Json, list[Axis]]:
     scan = document.pop("scan", {})
     if not isinstance(scan, dict):
         raise InputError(f"scan in {path} is {scan!r}; it must be a table [scan] of lists and ranges")
+    # keys of [scan] that are scanned singly, and tables [[scan.zip]] of keys that advance together
     zipped = scan.pop("zip", [])
     if not isinstance(zipped, list) or not all(isinstance(table, Mapping) for table in zipped):
         raise InputError(f"zip in [scan] of {path} must be tables, each headed [[scan.zip]]")
     single, *zipped = (dict(table) for table in (scan, *zipped))
     for table in (single, *zipped):
         table |= {key: placed(table[key], path.parent) for key in NAMED_FILES if key in table}
+    # an override replaces a key wherever the file has it
     for text in overrides:
         key, value = parse_assignment(text, "--set", "key=value or scan.key=list or range")
         name = key.removeprefix("scan.")

@@ -89,6 +89,7 @@ def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) ->
     states : folder for the full states; None to store none.
     """
     first = block[0].settings
+    # the key has a hash of the files: if it differs, a file has changed
     files = [file for _, file in files_of(first)]
     if files and sample_key(first) != block[0].key:
         raise InputError(
@@ -98,6 +99,7 @@ def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) ->
     found = run_kind_of(first).job_of_seeds(asked, [sample.settings.seed for sample in block]).solve()
     if found.interrupted:
         raise Interrupted
+    # store the full state of each sample, if asked for, and make the records
     runs = [found.sample(number) for number in range(len(block))]
     for sample, run in zip(block, runs, strict=True):
         if states is not None:

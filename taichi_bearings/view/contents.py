@@ -53,6 +53,7 @@ def arrays_of(drawn: PointsAndLines) -> dict[str, np.ndarray]:
         "map_power": _colour_map(POWER_COLOURS, *COLOUR_RANGE),
         "map_share": _colour_map("plasma_r", *COLOUR_RANGE),
     }
+    # what an analysis has found
     if drawn.drawn.is_known:
         label = spheres["domain"]
         found |= {"domain": label.astype(np.int32), "domain_size": np.bincount(label).astype(np.int32)}
@@ -65,6 +66,7 @@ def arrays_of(drawn: PointsAndLines) -> dict[str, np.ndarray]:
     if (domains := drawn.drawn.domains) is not None:
         turn = colour_of_turn(domains.turn)[spheres["domain"], :3]
         found |= {"kind": spheres["domain_kind"], "turn": np.round(255 * turn).astype(np.uint8)}
+    # spins and slips of the snapshots of a dynamics
     if (moments := drawn.moments) is not None:
         chosen = _shown_snapshots(moments)
         snapshots = {"snapshot_spin": _shown_spins(drawn, moments.spin), "snapshot_slip": moments.slip}
