@@ -72,13 +72,13 @@ def study(folder: Path, effort: Effort) -> StudyResult:
         exact = cuts_of(minimum, cut, flow_cut(scene.lattice.by_axis(cut_weights(scene))))
     with stage("descents"):
         ended = solved(scene, GradientDescent(), StopRule(1e-12, DESCENT), "random")
-        exact = beside_descent(exact, cut, ended)
+        exact = compared_with_descent(exact, cut, ended)
     with stage("minima without cuts"):
-        settled = beside_cut(draw(SHAPE, replicas=effort.samples))
-    others = {name: beside_cut(few(distribution=name)) for name in each(DISTRIBUTIONS, "distribution")}
-    driven = {f"{bottom:g}": beside_cut(few(spin_bottom=bottom)) for bottom in each(BOTTOMS, "driving")}
+        settled = compared_with_cut(draw(SHAPE, replicas=effort.samples))
+    others = {name: compared_with_cut(few(distribution=name)) for name in each(DISTRIBUTIONS, "distribution")}
+    driven = {f"{bottom:g}": compared_with_cut(few(spin_bottom=bottom)) for bottom in each(BOTTOMS, "driving")}
     with stage("relaxations"):
-        apart = apart_from_cut(few())
+        apart = distance_from_cut(few())
     boundaries = two_boundaries(exact, cut, ended)
     # the figure shows the first sample whose cut is not level, or the first one if there is none
     shown = int(exact.is_level[: effort.samples].argmin())
@@ -145,7 +145,7 @@ def visible(scene: Scene, ended: Solution) -> np.ndarray:
     return np.asarray(ended.slip > VISIBLE * scene.lattice.radius * scene.jump)
 
 
-def beside_descent(exact: Table, cut: MinimumCut, ended: Solution) -> Table:
+def compared_with_descent(exact: Table, cut: MinimumCut, ended: Solution) -> Table:
     """Return the table of exact minima with two more columns, which compare them with where gradient descents
     ended.
 
@@ -161,7 +161,7 @@ def beside_descent(exact: Table, cut: MinimumCut, ended: Solution) -> Table:
     return exact | {"excess": ended.power / exact.power - 1, "differs": differs}
 
 
-def beside_cut(scene: Scene) -> Table:
+def compared_with_cut(scene: Scene) -> Table:
     """Return a table that compares minima by the interior-point method with the minimum cuts of the same samples, a
     row for each sample of the scene.
 
@@ -250,7 +250,7 @@ def two_boundaries(exact: Table, cut: MinimumCut, ended: Solution) -> Table:
     }
 
 
-def apart_from_cut(scene: Scene) -> dict[str, float]:
+def distance_from_cut(scene: Scene) -> dict[str, float]:
     """Return how far the spins at the end of Cundall-Strack dynamics are from those of the two rigid domains of the
     minimum cut: for each of STARTS, names of initial spins, the largest difference of any spin in any sample of the
     scene, in units of the jump (top minus bottom of the imposed spins).

@@ -59,7 +59,7 @@ def study(folder: Path, effort: Effort) -> StudyResult:
         larger = minima_of(draw(LARGER, replicas=min(LARGER_SAMPLES, effort.samples)))
     spheres = intermediate_spheres(scene, minima.spin[: scene.replicas])
     named = names_of(runs, stiffer, rigid, minima, larger) | {"intermediate": spheres, "seeds": scene.seeds}
-    named |= {"free_spheres": int((~scene.lattice.is_driven).sum()), "apart": apart(*runs) / scene.jump}
+    named |= {"free_spheres": int((~scene.lattice.is_driven).sum()), "apart": largest_difference(*runs) / scene.jump}
     dynamics = {"cundall-strack": runs, "rigid-limit": rigid}
     courses = {
         name: joined({run.start: course_of(run, scene.seeds, minima) for run in both}, "start")
@@ -101,7 +101,7 @@ def names_of(
     }  # fmt: skip
 
 
-def apart(run: Run, other: Run) -> float:
+def largest_difference(run: Run, other: Run) -> float:
     """Return the largest difference of any spin between the ends of two relaxations of the same samples, `run` and
     `other`, 1/time. Left out is the mean spin of each layer about the height, which makes no contact slip.
     """

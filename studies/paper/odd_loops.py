@@ -174,8 +174,8 @@ def draw(lattice: str, size: int, odd: int, bottom: float, samples: int, seed: i
     return found
 
 
-def dilute(lattice: str, size: int, numbers: Sequence[int]) -> list[int]:
-    """Return those of some numbers of odd contacts for which the lattice has places enough. Odd contacts are added ones
+def possible(lattice: str, size: int, numbers: Sequence[int]) -> list[int]:
+    """Return those of some numbers of odd contacts for which the lattice has enough places. Odd contacts are added ones
     that close loops of an odd number of discs.
 
     lattice : "square", "triangular" or "cubic".
@@ -199,10 +199,10 @@ def well_sampled(curves: Curves) -> dict[int, Mapping[int, np.ndarray]]:
     return {L: by for L, by in with_odd.items() if min(map(len, by.values()), default=0) >= ENOUGH}
 
 
-def held_by_nothing_else(curves: Curves) -> dict[int, dict[int, np.ndarray]]:
-    """Return the entries of `curves` in which nothing but odd contacts can hold the interface, the layer of slipping
-    contacts below the discs that roll with the top: it is at least FEWEST_LAYERS layers below the top, and far above
-    the bottom, since less than LARGEST_SHARE of the discs roll.
+def held_by_odd_contacts(curves: Curves) -> dict[int, dict[int, np.ndarray]]:
+    """Return the entries of `curves` in which neither top nor bottom holds the interface, the layer of slipping
+    contacts below the discs that roll with the top: more than FEWEST_LAYERS layers of discs roll, and less than
+    LARGEST_SHARE of all.
 
     curves : for each size L and number n of odd contacts (which close loops of an odd number of discs), the shares
         (samples,) of discs that roll. n = 0 is left out.
@@ -214,18 +214,18 @@ def held_by_nothing_else(curves: Curves) -> dict[int, dict[int, np.ndarray]]:
 
 
 def confined(curves: Curves) -> Collapse | None:
-    """Return the exponent a for which s n^(1/2) against n / L^a falls onto one curve for all sizes; None where
-    fewer than two sizes have three numbers of odd contacts.
+    """Return the exponent a for which s n^(1/2) against n / L^a falls onto one curve for all sizes; None if fewer than
+    two sizes have three numbers of odd contacts.
 
     curves : for each size L and number n of odd contacts (which close loops of an odd number of discs), the shares s
         (samples,) of discs that roll with the top.
     """
-    held = held_by_nothing_else(well_sampled(curves))
+    held = held_by_odd_contacts(well_sampled(curves))
     scaled = {L: {n: of * n**0.5 for n, of in by.items()} for L, by in held.items() if len(by) > 2}
     return collapse(scaled) if len(scaled) > 1 else None
 
 
-def crowded(curves: Curves) -> dict[str, Any] | None:
+def fit_of_many(curves: Curves) -> dict[str, Any] | None:
     """Return the fit of s = c n^-x to all sizes together, over the points with many odd contacts: n > CROWDED
     L^(2/3).
 
@@ -235,7 +235,7 @@ def crowded(curves: Curves) -> dict[str, Any] | None:
     returns : by name, x (`value`), its standard `error`, the probability of a misfit as large (`goodness`), and the
         number of `points`; None for fewer than three points, or if all have the same n.
     """
-    held = held_by_nothing_else(well_sampled(curves))
+    held = held_by_odd_contacts(well_sampled(curves))
     points = [(n, of) for L, by in held.items() for n, of in by.items() if n > CROWDED * L**WANDERING]
     if len(points) < 3 or len({n for n, _ in points}) < 2:
         return None
@@ -262,11 +262,11 @@ def study(folder: Path, effort: Effort) -> StudyResult:
     }
     # points (lattice, L, n, spin of the bottom) with the bottom at rest and, for one size of discs, rotating
     turned, discs = max(sizes["square"]) if effort.quick else TURNED, ("square", "triangular")
-    points = [(lattice, L, n, 0.0) for lattice, of in sizes.items() for L in of for n in dilute(lattice, L, numbers)]
+    points = [(lattice, L, n, 0.0) for lattice, of in sizes.items() for L in of for n in possible(lattice, L, numbers)]
     wanted = {point: round(effort.samples * shares[point[0]][point[1]]) for point in points}
     turning = [
         (lattice, turned, n, bottom)
-        for lattice in discs for bottom in BOTTOMS[1:] for n in dilute(lattice, turned, numbers)
+        for lattice in discs for bottom in BOTTOMS[1:] for n in possible(lattice, turned, numbers)
     ]  # fmt: skip
     wanted |= dict.fromkeys(turning, round(effort.samples * OF_TURNED))
     found = drawn(draw, wanted, BLOCK, effort.seed, folder / "odd-loops.jsonl")
@@ -297,7 +297,7 @@ def study(folder: Path, effort: Effort) -> StudyResult:
         "wandering": WANDERING, "layers": FEWEST_LAYERS, "largest_share": LARGEST_SHARE, "beyond": CROWDED,
         "fewest_samples": ENOUGH,
         "confined": {lattice: confined(rolling[lattice]) for lattice in discs},
-        "crowded": {lattice: crowded(rolling[lattice]) for lattice in discs},
+        "crowded": {lattice: fit_of_many(rolling[lattice]) for lattice in discs},
     }  # fmt: skip
     return StudyResult({".csv": Table.of(rows)}, draw_odd_loops, named)
 
@@ -321,7 +321,7 @@ def draw_odd_loops(named: Any) -> Figure:
     figure = new_figure(7.1, 2.4 * len(named.courses))
     rows: Any = figure.subplots(len(named.courses), 3, squeeze=False)
     for panels, (lattice, curves) in zip(rows, named.courses.items(), strict=True):
-        are_discs, held, ruled = lattice in named.rest, held_by_nothing_else(curves), named.ruled.get(lattice)
+        are_discs, held, ruled = lattice in named.rest, held_by_odd_contacts(curves), named.ruled.get(lattice)
         for (L, by), color in zip(curves.items(), shades(len(curves)), strict=True):
             look = {"color": color, "label": f"L = {L}"}
             with_odd = {n: shares for n, shares in by.items() if n}

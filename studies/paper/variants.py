@@ -80,7 +80,7 @@ def drivings(folder: Path, effort: Effort) -> StudyResult:
     """
     seeds = effort.seeds(max(1, min(MOST_SAMPLES, effort.samples // 4)))
     tables = samples_of(DRIVINGS, seeds, driven_numbers, folder / "drivings.jsonl")
-    found = beside_reference(tables)
+    found = compared_with_reference(tables)
     return StudyResult({".csv": joined(found, "driving")}, draw_drivings, names_of_drivings(found))
 
 
@@ -154,7 +154,7 @@ def names_of_distributions(found: Mapping[str, Table]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def beside_reference(tables: Mapping[str, Table]) -> dict[str, Table]:
+def compared_with_reference(tables: Mapping[str, Table]) -> dict[str, Table]:
     """Return for each driving its table with two columns that compare its slipless contacts with those of the same
     sample under the driving REFERENCE.
 

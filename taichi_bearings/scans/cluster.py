@@ -128,10 +128,10 @@ class DaskEngine(LocalEngine):
 
         Raises BearingsError if the connection to the scheduler is lost.
         """
-        if not self.running:  # as long as there is no worker
+        if not self.running:  # no unit is sent while the cluster has no worker
             time.sleep(seconds)
         found = super().collect(seconds)
-        if self.client.status != "running":  # then its units are cancelled
+        if self.client.status != "running":  # Dask has cancelled all units
             raise BearingsError("the connection to the Dask scheduler is lost; the same command continues the scan")
         return found
 

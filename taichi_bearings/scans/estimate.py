@@ -38,10 +38,10 @@ def seconds_of(settings: RunSettings, structure: bool = False) -> float:
     if (solve := run_kind_of(settings).seconds(settings)) is None:
         return math.inf
     judged = JUDGED_SECONDS[len(settings.shape)] * spheres_of(settings)
-    return seconds_beside(settings, structure) + judged + min(solve, settings.time_limit or math.inf)
+    return seconds_without_solve(settings, structure) + judged + min(solve, settings.time_limit or math.inf)
 
 
-def seconds_beside(settings: RunSettings, structure: bool = False) -> float:
+def seconds_without_solve(settings: RunSettings, structure: bool = False) -> float:
     """Return the estimated seconds that a sample takes apart from its solve.
 
     settings : settings of the sample.
@@ -163,7 +163,7 @@ class WorkLeft:
         kind.remaining -= 1
         if seconds is not None:
             kind.done += 1
-            kind.seconds += seconds + seconds_beside(sample.settings, self.structure)
+            kind.seconds += seconds + seconds_without_solve(sample.settings, self.structure)
 
     def seconds_left(self, running: Sequence[Unit], workers: int, elapsed: float) -> float | None:
         """Return the seconds left at the pace so far; None while too little is finished to tell. The pace is wall time

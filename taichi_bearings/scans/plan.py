@@ -87,7 +87,7 @@ class ScanPlan:
         """The scan as TOML."""
         return toml_text(self.options) + self.settings
 
-    def going_on_in(self, folder: Path) -> "ScanPlan":
+    def with_options_of(self, folder: Path) -> "ScanPlan":
         """Return this plan with the options of the scan (SCAN_OPTIONS) that it lacks, as far as the scan.toml in a
         folder has them from an earlier call.
 

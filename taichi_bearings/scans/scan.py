@@ -156,7 +156,7 @@ def estimate(plan: ScanPlan, folder: Path, workers: int = 0, part: parts.Part | 
     part : part of the scan that is counted alone; None for the whole scan.
     """
     refuse_unused(plan, folder)
-    plan = plan.going_on_in(folder)
+    plan = plan.with_options_of(folder)
     missing, _ = missing_samples(plan, folder, part)
     analyse = bool(plan.options.get("analyse"))
     number = _number_of_workers(missing, workers, analyse)
@@ -208,24 +208,24 @@ def scan(
 
     Raises InputError or FileError before anything is computed.
     """
-    plan = plan.going_on_in(folder)
+    plan = plan.with_options_of(folder)
     refuse_unused(plan, folder, is_here=engine is None and client is None)
     with writable_folder(folder, "" if part is None else part.name):
-        course = _Course(plan, folder, part, monitor)
+        opened = _OpenScan(plan, folder, part, monitor)
         refuse_link_out(folder / STATES)
         if (folder / STATES).is_dir():
             tidy(folder / STATES)
         replace_file(folder / "scan.toml", plan.text.encode())
-        engine = engine or _engine(plan, folder, list(course.missing.values()), workers, client)
+        engine = engine or _engine(plan, folder, list(opened.missing.values()), workers, client)
         try:
-            with awaited() as stopped, closing(engine), Journal(course.journal) as journal:
+            with awaited() as stopped, closing(engine), Journal(opened.journal) as journal:
                 keep()
-                course.follow(engine, journal, stopped)
-            course.write_files()
+                opened.follow(engine, journal, stopped)
+            opened.write_files()
         except FileError as error:
-            kept = len(parts.read_journals(folder))  # some of those that were being written too
+            kept = len(parts.read_journals(folder))  # samples that did fit on the disk are among them
             raise FileError(f"{error}; {kept:,} samples are kept in {folder}, and the same command continues") from None
-    return course.report(stopped.is_set()) | {"workers": engine.workers}
+    return opened.report(stopped.is_set()) | {"workers": engine.workers}
 
 
 def merge(plan: ScanPlan, folder: Path) -> Json:
@@ -239,13 +239,13 @@ def merge(plan: ScanPlan, folder: Path) -> Json:
     """
     if not folder.is_dir():
         raise FileError(f"{folder} is not the folder of a scan")
-    plan = plan.going_on_in(folder)
+    plan = plan.with_options_of(folder)
     with writable_folder(folder):
-        course = _Course(plan, folder)
-        if not course.records:
+        opened = _OpenScan(plan, folder)
+        if not opened.records:
             raise FileError(f"{folder} holds no samples of this scan; solve its parts first, with --part i/n")
-        course.write_files()
-        return course.report(False) | {"incomplete_parts": parts.incomplete_parts(plan, folder, course.records)}
+        opened.write_files()
+        return opened.report(False) | {"incomplete_parts": parts.incomplete_parts(plan, folder, opened.records)}
 
 
 def _engine(
@@ -286,8 +286,8 @@ def _warn(text: str) -> None:
     logging.getLogger(__name__).warning("bearings: %s", text)
 
 
-class _Course:
-    """A scan that is being solved: its missing samples, its records so far, its journal and its progress.
+class _OpenScan:
+    """A scan in its folder, while it is solved: its missing samples, its records so far, its journal and its progress.
 
     plan : the samples asked for.
     folder : folder of the scan.

@@ -34,7 +34,7 @@ def exact(cuts):
 def settled(taichi_runtime, precision):
     if precision != "f64":
         pytest.skip("a statement about double precision")
-    return figure_1.beside_cut(Scene.random(SHAPE, 3, replicas=12))
+    return figure_1.compared_with_cut(Scene.random(SHAPE, 3, replicas=12))
 
 
 def spoilt(table, name, change):
@@ -126,7 +126,7 @@ def test_an_excess_of_power_bounds_the_slip_off_the_cut(steps, cuts, exact, monk
     ended = solved(cuts[0].scene, GradientDescent(), StopRule(1e-12, steps), "random")
     for visible in (0.5, 0.1, 0.02):
         monkeypatch.setattr(figure_1, "VISIBLE", visible)
-        found = figure_1.beside_descent(exact, cuts[1], ended)
+        found = figure_1.compared_with_descent(exact, cuts[1], ended)
         share = found.excess / found.distance
         assert (share[found.differs] >= visible).all()
     assert (share < 0.02).any() or steps == 200

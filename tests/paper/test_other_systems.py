@@ -6,7 +6,7 @@ from taichi_bearings_studies.paper import parameters, reproduce, variants
 from taichi_bearings_studies.paper.claims import Effort, judge
 from taichi_bearings_studies.paper.parameters import PAPER, VARIANTS
 from taichi_bearings_studies.paper.samples import Run, Table
-from taichi_bearings_studies.paper.variants import EQUAL, REFERENCE, SPREAD, TIED, beside_reference
+from taichi_bearings_studies.paper.variants import EQUAL, REFERENCE, SPREAD, TIED, compared_with_reference
 
 from taichi_bearings.scene import Scene
 from tests.tables import rows_of
@@ -63,12 +63,12 @@ DIFFERENT = DRIVEN | {"slipless": [1, 0, 1, 1]}
 def of_drivings(claim, number=5, **changes):
     tables = {name: Table.of([DRIVEN] * number) for name in variants.DRIVINGS}
     tables |= {name: Table.of(rows) for name, rows in changes.items()}
-    found = beside_reference(tables)
+    found = compared_with_reference(tables)
     return judge(f"drivings.{claim}", **variants.names_of_drivings(found)).verdict
 
 
 def test_drivings_are_judged_by_their_contacts():
-    both = beside_reference({REFERENCE: Table.of([DRIVEN]), "other": Table.of([DIFFERENT])})["other"]
+    both = compared_with_reference({REFERENCE: Table.of([DRIVEN]), "other": Table.of([DIFFERENT])})["other"]
     assert (both.overlap.tolist(), both.changed.tolist()) == ([0.5], [2])
     for claim, of in (("speeds", variants.SAME), ("axis", variants.OTHER), ("rate", variants.RATES)):
         assert of_drivings(claim) == "confirmed"

@@ -97,7 +97,7 @@ def test_minima_with_odd_contacts(lattice, odd, bottom):
 
 
 def test_no_more_odd_contacts_than_half_of_the_places():
-    assert odd_loops.dilute("square", 4, (0, 2, 4, 8)) == [0, 2, 4]  # of nine squares
+    assert odd_loops.possible("square", 4, (0, 2, 4, 8)) == [0, 2, 4]  # of nine squares
     with pytest.raises(InputError, match=r"odd, .*, is 5; .* at most 4, since of the 9 places"):
         odd_loops.network("square", 4, 5, 0.0, 0)
 
@@ -111,18 +111,18 @@ def test_the_law_of_confined_interfaces_is_found():
         }
         for L in (64, 128, 256, 512)
     }
-    told = odd_loops.held_by_nothing_else(shares)
+    told = odd_loops.held_by_odd_contacts(shares)
     assert all(2 / L < of.mean() < 0.25 for L, by in told.items() for of in by.values())
     assert 256 not in told[64]
     found = odd_loops.confined(shares)
     assert abs(found.value - 2 / 3) < 3 * found.error < 0.3
     assert found.misfit < 1.5
-    many = odd_loops.crowded(shares)
+    many = odd_loops.fit_of_many(shares)
     assert abs(many["value"] - 0.5) < 3 * many["error"] < 0.1
     assert many["goodness"] > 0.01
-    assert odd_loops.crowded({64: {8: shares[64][8]}}) is None
+    assert odd_loops.fit_of_many({64: {8: shares[64][8]}}) is None
     grown = {L: {n: of * (L / 64) ** 0.5 for n, of in by.items()} for L, by in shares.items()}
-    assert odd_loops.crowded(grown)["goodness"] < 1e-6
+    assert odd_loops.fit_of_many(grown)["goodness"] < 1e-6
 
 
 @pytest.mark.parametrize("offset", [0.0, 2.0])
