@@ -218,16 +218,18 @@ def forecast(stage: Stage) -> tuple[float, str]:
 
     stage : the stage of work.
 
-    The pace is that of the last two thirds of the stage's time, as kernels may be compiled in the first third. For work
-    that reports nothing it is the time that was expected.
+    The pace is that of the last two thirds of the stage's time, as kernels may be compiled in the first third. As long
+    as no pace is known, the time left is what is left of the time that was expected.
     """
     seconds, report = (stage.done[-1][0] if stage.done else 0.0), stage.report
     left = seconds_left([point for point in stage.done if point[0] >= seconds / WINDOW])  # the first part may compile
     if report is None:
         return (stage.expected if stage.expected and not stage.done else left), ""
-    left = left if left <= FARTHEST * seconds else math.inf
-    limit = report.stop.seconds - report.seconds
-    return (left, f" to {share_of(report)[1]}") if left < limit else (limit, " to the time limit")
+    until, limit = f" to {share_of(report)[1]}", report.stop.seconds - report.seconds
+    if left > FARTHEST * seconds:
+        left, until = stage.expected - seconds, " by an estimate from its size"
+        left = left if left > 0 else math.inf
+    return (left, until) if left < limit else (limit, " to the time limit")
 
 
 def share_of(report: Any) -> tuple[float, str]:

@@ -97,6 +97,14 @@ class Contacts(ABC):
     scene: Bearing
     spin_axes: tuple[int, ...]
 
+    def seconds_to_solve(self, options: "MethodOptions", tolerance: float) -> float:
+        """Return an estimate of the seconds that a method takes to solve all samples; 0 if that is not known.
+
+        options : the method's options.
+        tolerance : relative gap that is asked for.
+        """
+        return 0.0
+
     @property
     def seconds_to_prove(self) -> float:
         """An estimate of the seconds that the proof of an answer takes; 0 if that is not known."""

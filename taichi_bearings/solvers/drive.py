@@ -219,7 +219,8 @@ def _solved(samples: Sequence[_Sample], asked: _Asked) -> list[Solution]:
             raise KeyboardInterrupt
         courses = [Course(one.method, asked.stop, asked.recording, one.checkpoints, interrupt) for one in samples]
         with leaving.saving():  # what is reached from here on
-            with stage("solving") as solving:
+            seconds = sum(one.method.contacts.seconds_to_solve(options, asked.stop.tolerance) for one in samples)
+            with stage("solving", seconds) as solving:
                 _follow(courses, [solving.tell, *asked.monitors])
             with stage("proving", samples[0].method.contacts.seconds_to_prove):
                 found = [course.answer(threshold) for course in courses]

@@ -29,7 +29,7 @@ from taichi_bearings.solvers.gear import (
 )
 from taichi_bearings.solvers.lattice_states import LatticeReached
 from taichi_bearings.solvers.part import Part
-from taichi_bearings.solvers.table import JUDGED_SECONDS
+from taichi_bearings.solvers.table import JUDGED_SECONDS, MethodOptions
 
 if TYPE_CHECKING:
     from taichi_bearings.conic.proximal import Unknowns
@@ -281,6 +281,12 @@ class OnStrides(Stepped, WithMinima):
         force : (C components, R, E contacts), contact forces, such as a checkpoint keeps.
         """
         return lower_bound(self.scene, force, self.spin_axes)
+
+    def seconds_to_solve(self, options: MethodOptions, tolerance: float) -> float:
+        """Return an estimate of the seconds that a method takes to solve all samples, by the size of the lattice; 0 if
+        that is not known. The arguments are explained in :class:`Contacts`.
+        """
+        return (options.seconds(self.scene.lattice.shape, tolerance) or 0.0) * self.scene.replicas
 
     @property
     def seconds_to_prove(self) -> float:

@@ -12,7 +12,7 @@ from taichi_bearings.progress import Display, forecast, share_of, standing
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
-from taichi_bearings.solvers.table import OperatorSplitting
+from taichi_bearings.solvers.table import InteriorPoint, OperatorSplitting
 from taichi_bearings.stages import Stage
 from tests.scenes import make_scene
 
@@ -95,6 +95,22 @@ def test_what_was_expected_of_work_counts_down_and_then_the_time_is_told():
     assert display.line() in ("proving, 70 s so far", "proving, 71 s so far")
     display.stages[0].expected = 0.0
     assert "so far" in display.line()
+
+
+def test_a_large_lattice_shows_what_is_left_of_its_estimate_until_its_pace_is_known():
+    heard = list(reports(np.array([0.0, 60.0]), np.ones(2), falls_to=1e-8))
+    stage = Stage("solving", report=heard[-1], expected=300.0)
+    stage.done = [(report.seconds, share_of(report)[0]) for report in heard]
+    assert forecast(stage) == (240.0, " by an estimate from its size")
+    stage.expected = 59.0
+    assert forecast(stage)[0] == math.inf
+
+
+@pytest.mark.usefixtures("taichi_runtime")
+def test_the_estimate_of_a_solve_is_that_of_all_its_samples():
+    of, method = make_scene((4, 4, 5), seeds=(1, 2, 3)), InteriorPoint().build()
+    method.begin(of, initial_spin(of, "linear"))
+    assert method.contacts.seconds_to_solve(method.options, 1e-8) == 3 * InteriorPoint.seconds((4, 4, 5), 1e-8)
 
 
 def test_a_gap_that_may_stand_still_foretells_nothing():
