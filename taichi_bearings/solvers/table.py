@@ -307,7 +307,7 @@ class InteriorPoint(MethodOptions):
     minimises_packings = True
     cpu_only = True
     alike_in_a_block = 5_000
-    merit = "fastest that proves which contacts slip"
+    merit = "fastest that can prove which contacts slip"
     colour, marker = "#D55E00", "^"
     solves = _laws(attrgetter("holds"))
 

@@ -125,7 +125,7 @@ def test_a_dry_run_says_method_time_and_memory_and_writes_nothing(tmp_path):
     ("words", "said"),
     [
         (("--shape", "8,8"), "planar-cut (fastest, and exact)"),
-        (("--shape", "8,8,8"), "interior-point (fastest that proves which contacts slip)"),
+        (("--shape", "8,8,8"), "interior-point (fastest that can prove which contacts slip)"),
         (("--shape", "8,8,8", "--tolerance", "1e-2"), "operator-splitting (fastest to this tolerance and size)"),
         (("--shape", "8,8,8", "--law", "viscous"), "linear-solver (fastest, and exact but for rounding)"),
     ],
@@ -139,7 +139,7 @@ def test_a_dry_run_says_why_auto_takes_a_method(words, said):
     ("kind", "law", "said"),
     [
         ("triangular", "coulomb", "planar-cut (fastest, and exact)"),
-        ("bcc", "coulomb", "interior-point (fastest that proves which contacts slip)"),
+        ("bcc", "coulomb", "interior-point (fastest that can prove which contacts slip)"),
         ("bcc", "viscous", "linear-solver (fastest, and exact but for rounding)"),
     ],
     ids=str,
