@@ -1,9 +1,10 @@
-"""Torque balance of equal springs: sines along the height, and for each of them a chain of spheres along one side.
+"""Solves the torque balance of spheres whose contacts are equal springs, a Poisson problem.
 
-A spin component is coupled only across the height and one other axis. The sines of a chain with held ends separate the
-height. What is left is, for each sine, a chain along the other axis, whose equations are solved from end to end and
-back. A ring is a chain with one more spring, which takes one more sum (docs/decisions.md, 10 counts the operations).
-Every sum runs in one order, whatever the number of workers or replicas.
+A spin component is coupled only along the height and along one other axis. Sine transforms along the height, whose two
+ends are driven, turn the problem into independent chains of spheres along the other axis, one for each sine. A chain is
+solved by elimination from end to end and back. With a periodic axis it is a ring, a chain with one more spring, which
+takes one more sum (docs/decisions.md, 10 counts the operations). Every sum runs in one order, whatever the number of
+workers or replicas.
 
 Letters: C spin components, R replicas (samples solved side by side), N the shape of the lattice, m free spheres along
 the height (all but the driven bottom and top). A *mode* is the amplitude of one sine along the height.
@@ -22,18 +23,18 @@ AHEAD = 4  # a thread of a GPU reads so many spheres of a chain before it writes
 
 @ti.data_oriented
 class BalanceKernels:
-    """Kernels that solve a Poisson problem: which change of the spins cancels given torques on the spheres of a
-    lattice, if all contacts are springs of the same stiffness.
+    """Kernels that solve a Poisson problem: they find the change of the spins that cancels given torques on the spheres
+    of a lattice, if all contacts are springs of the same stiffness.
 
-    A solve transforms the torques, field `pull`, by sines along the height into `modes`, the amplitude of each sine;
-    solves in each mode a chain of spheres along one side; transforms back; and adds the result to the field
-    `potential`. Driven spheres stay as they are. On a GPU one kernel does all this. On a CPU the BLAS library
-    multiplies by the sines, and a kernel solves the chains. On large lattices kernels also *fold* each column of
-    spheres along the height before the products, which halves their work, and *unfold* them after it.
+    A solve has three steps. It transforms the torques, field `pull`, by sines along the height into `modes`, the
+    amplitudes of the sines; solves a chain of spheres along one side for each sine; and transforms back, adding the
+    result to the field `potential`. Driven spheres stay as they are. On a GPU one kernel does all this. On a CPU the
+    BLAS library multiplies by the sines, and a kernel solves the chains.
 
-    A column z_0, z_1, ... is folded into its half sums z_k + z_-1-k, followed by its half differences z_k - z_-1-k. A
-    sine is even or odd under reflection of the height, so that half of them act on the sums, the others on the
-    differences.
+    On large lattices each column z_0 ... z_n of spheres along the height is *folded* before these products, which
+    halves their work, and *unfolded* after them: the sums z_k + z_(n-k) of mirror images take the place of its lower
+    half, the differences z_k - z_(n-k) that of its upper half. A sine is even or odd under reflection of the height, so
+    half of the sines act on the sums only, the others on the differences.
 
     The kernels share these arguments (C spin components, R samples, N the shape of the lattice, m free spheres along
     the height):
@@ -292,9 +293,9 @@ class BalanceKernels:
         self, workers: int, values: VALUES, folded: VALUES, blocks: BLOCKS, row: int, margin: int, count: int,
         stride_x: int, stride_y: int, sites: int, sums: int, pitch: int,
     ):  # fmt: skip
-        """Write the pulls on all spheres into `folded`, column by column: first the sums of the two spheres that are
-        equally far from bottom and top, from the driven ones to the middle, then their differences. A sphere in the
-        middle is added to itself. Numbers that fill up the last block are other ones of the column.
+        """Write the pulls on all spheres into `folded`, column by column: first the sums for two spheres at equal
+        distance from bottom and top, from the ends of the column to its middle, then the differences. A sphere in the
+        middle is added to itself. Blocks are filled up with further sums and differences of the column.
 
         workers : number of threads; each takes an equal share of the columns.
         values : all fields, flat; `pull` is read.
@@ -317,8 +318,8 @@ class BalanceKernels:
 
     @ti.func
     def rounded(self, numbers):
-        """Return numbers (a vector), which are computed with the precision of the fields, with that of the modes: the
-        same or single precision."""
+        """Return a vector of numbers rounded to the precision of the modes, which is that of the fields or single
+        precision."""
         if ti.static(self.kinds[0] == self.kinds[1]):
             return numbers
         return ti.Vector([ti.cast(numbers[m], ti.f32) for m in ti.static(range(self.block))])
@@ -329,8 +330,8 @@ class BalanceKernels:
         stride_x: int, stride_y: int, sites: int, sums: int, pitch: int,
     ):  # fmt: skip
         """Add the solution of the Poisson problem to the field `potential` of all spheres. It is given column by column
-        in two parts, the even one of the lower half of the column and the odd one: the solution is their sum in the
-        lower half, and their difference at the sphere as far from the top as that is from the bottom.
+        as an even and an odd part for the lower half of the column: the solution is their sum there, and their
+        difference at the mirror image in the upper half.
 
         workers : number of threads; each takes an equal share of the columns.
         folded : (C components, R samples, columns, pitch) numbers, flat: of each column the even part, then the odd
@@ -356,13 +357,13 @@ class BalanceKernels:
         self, folds: ti.template(), worker, workers, values: ti.template(), folded: ti.template(),
         blocks: ti.template(), row, margin, count, stride_x, stride_y, sites, sums, pitch,
     ):  # fmt: skip
-        """Fold or unfold all columns that are the share of one thread; the loops of both kernels.
+        """Fold or unfold the columns of one thread, an equal share of all.
 
         folds : True to fold pulls, False to unfold solutions and add them to potentials.
-        worker, workers : number of the thread, and how many there are.
+        worker, workers : number of the thread, and number of threads.
         values, folded : all fields, and the folded columns, flat.
-        blocks : the one that is written, as vectors, one for each block.
-        row, margin, count, stride_x, stride_y, sites, sums, pitch : as the kernels have them."""
+        blocks : the one of these two arrays that is written, as vectors, one for each block.
+        row, margin, count, stride_x, stride_y, sites, sums, pitch : see the kernel :meth:`fold`."""
         height = self.height(stride_x, stride_y)
         columns = count // height
         for slot in ti.static(range(self.components)):
@@ -380,9 +381,11 @@ class BalanceKernels:
     def fold_column(
         self, values: ti.template(), folded: ti.template(), blocks: ti.template(), low, to, height, sums, pitch
     ):
-        """Write the pulls on one column of spheres as sums, then differences, of two equally far from its ends.
+        """Fold one column of spheres: write first the sums, then the differences, of the pulls on two spheres at equal
+        distance from its ends.
 
-        values, folded, blocks : as the kernel `fold` has them.
+        values : all fields, flat.
+        folded, blocks : the folded columns, flat, and the same memory as vectors, one for each block.
         low, to : index of the pull on the lowest sphere, and of the first number of the folded column.
         height : spheres along the height.
         sums, pitch : numbers of a folded column that are sums, and all."""
@@ -401,13 +404,15 @@ class BalanceKernels:
     ):
         """Add the solution for one column of spheres, given as its even and its odd part, to their potentials.
 
-        folded, values, blocks : as the kernel `unfold` has them.
+        folded : the parts of all columns, flat.
+        values, blocks : all fields, flat, and the same memory as vectors, one for each block.
         low, even : index of the potential of the lowest sphere, and of the first number of the even part.
         height : spheres along the height.
-        sums : numbers from the even part to the odd one.
-        rest : distance from a potential to what its rounding leaves out."""
+        sums : distance from the even part to the odd one.
+        rest : distance from a potential to what its rounding leaves out, if that is stored."""
         half, odd = height // 2, even + sums
-        whole = half // self.block * self.block * (height % self.block == 0)  # in blocks that lie as in memory
+        # spheres of the lower half that are done block by block: none if the upper half does not end with a whole block
+        whole = half // self.block * self.block * (height % self.block == 0)
         for b in range(whole // self.block):
             at = b * self.block
             first = load(folded, in_range(even + at), self.block)
@@ -424,8 +429,8 @@ class BalanceKernels:
 
     @ti.func
     def add(self, values: ti.template(), blocks: ti.template(), place, rest, change, block: ti.template()):
-        """Add numbers to the potentials of neighbouring spheres, in place; where what the rounding of a potential
-        leaves out is stored, the sum keeps it (two-sum of Knuth, then of Dekker).
+        """Add numbers to the potentials of neighbouring spheres, in place. If there is a field for what the rounding of
+        a potential leaves out, that is updated as well (two-sum of Knuth, then of Dekker).
 
         values : all fields, flat.
         blocks : the same memory as vectors, one for each block; not used if `block` is 1.

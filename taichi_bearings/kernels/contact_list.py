@@ -1,10 +1,10 @@
-"""Steps over spheres and contacts that stand in lists: any network, with the laws and numbers of the lattice kernels.
+"""Makes steps of a method on any network, whose spheres and contacts are stored as lists.
 
-With u = R omega (radius times spin) and two unit tangents T of a contact its slip is y = T (u_i + u_j), and its
-friction f pulls both spheres by -T f: no side, no sign. A pass over the contacts writes T f. A pass over the spheres
-sums it over the contacts of each, in the order of a list: no atomics, and the same bits on any number of threads. Both
-passes go through blocks of neighbours in memory, row by row as on lattices; what they read from elsewhere is near, by
-the order of the lists (fields/lists.py).
+Let u = R omega be radius times spin, and T the two unit tangents of a contact. The slip is y = T (u_i + u_j), and the
+friction f exerts the force -T f on both spheres i and j. One pass goes over the contacts and writes T f; another goes
+over the spheres and sums T f over the contacts of each, in the order of a list, so that the number of threads changes
+no bit. Both passes go through blocks of neighbours in memory. The order of the lists (fields/lists.py) is such that
+what they read from elsewhere is near.
 
 Letters: d unit tangents of a contact (1 of discs, 2 of spheres), C components of a spin (1 or 3).
 """
@@ -36,8 +36,8 @@ class ListSweeps(Sweeps):
     force : C, the friction force as a vector, T f, from its components f along the tangents.
 
     Five integers, `size`, tell kernels where numbers stand: lengths of the rows of spheres and of contacts of all
-    copies, the same of one copy, and the length of a row of constants. In `tables` they are followed by the lists: the
-    two spheres of each contact, where the contacts of each sphere begin, and these contacts."""
+    copies; the same two of one copy; and the length of a row of constants. In `tables` they are followed by the lists:
+    the two spheres of each contact, where the contacts of each sphere begin, and these contacts."""
 
     parts, measures, numbers = 2, 5, 1
 

@@ -1,8 +1,8 @@
 """Cundall–Strack steps: springs at the contacts (paper Eqs. 7-9) and Gear's integration of the spins (Eq. 10).
 
-A step has two parts. At the contacts it stretches the springs by the predicted slip and caps the force by friction; at
-the spheres it adds up the torques, corrects the spins and predicts the next step. So every field is read and written
-once a part.
+A step has two parts. The first goes over the contacts: it stretches the springs by the predicted slip and limits the
+force by friction. The second goes over the spheres: it adds up the torques, corrects the spins and predicts the next
+step. So each part reads and writes every field once.
 """
 
 from collections.abc import Callable
@@ -290,9 +290,9 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         forces that pull on them.
 
         For each spin component the force on a sphere is summed over its contacts (`pulling` names the rows). `motion`
-        returns the new spin and its scaled time derivatives; the spin predicted for the end of the next step; and that
-        averaged over the next step. They are written into the rows `moved`, without the second where it is not stored.
-        If an energy balance is kept (`tally`), the forces on driven spheres are added to `impulse`.
+        returns the new spin and its scaled time derivatives; the spin predicted for the end of the next step; and the
+        mean spin during the next step. These are written into the rows `moved`; the predicted spin is left out if no
+        row is there for it. With an energy balance (`tally`) the forces on driven spheres are added to `impulse`.
 
         values : all fields, flat.
         blocks : the same memory as vectors, one for each block (group of sites that are worked on together).

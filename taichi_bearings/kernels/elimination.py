@@ -1,15 +1,15 @@
-"""Cholesky factors of one sparse matrix, or of several of one pattern at a time: then each number is a vector with a
-lane for each matrix.
+"""Cholesky factorisation of one sparse matrix, or of LANES matrices with one pattern at a time. In the second case each
+number in memory is a vector with one number of each matrix.
 
 The factorisation is multifrontal. A *front* is a dense matrix for a group of unknowns that are eliminated together, its
-*own* unknowns, and for the later unknowns that they are coupled to, its *border*. What the elimination leaves for the
-border, the *update*, is added to the front of the parent in the elimination tree. So fronts are worked on children
-before parents; numerics/cholesky/layout.py says where they lie.
+*own* unknowns, and for the later unknowns that they are coupled to, its *border*. The elimination leaves a matrix for
+the border, the *update*, which is added to the front of the parent in the elimination tree. So children are eliminated
+before their parents; numerics/cholesky/layout.py says where the numbers of each front stand.
 
 A front is stored column by column: m columns of own unknowns with all their n rows, then the update, b columns in
-panels of SHEET columns, each from its diagonal down; only lower triangles are used. Small matrices are eliminated here,
-in one launch; fronts of large ones are assembled here, and eliminated by BLAS; their own columns are in such panels,
-too. A number goes through the same operations in the same order whether its matrix is alone or not.
+panels of SHEET columns, each panel from its diagonal down; only lower triangles are used. Small matrices are eliminated
+here, in one launch. Fronts of large matrices are only assembled here, and then eliminated by BLAS; their own columns
+are in such panels, too. The operations on a matrix, and their order, do not depend on the number of matrices.
 
 The functions share these arguments: `tables`, the array of integers that says where everything stands; `at`, where the
 row of a front begins in it; `numbers`, the entries of all fronts; `unit`, how many rows make a vector.
@@ -73,11 +73,11 @@ def columns_before(column, width):
 
 @ti.func
 def begin_of_column(column, height, width):
-    """Return how far behind the begin of a matrix row 0 of one of its columns stands, or would stand, as columns are
-    stored in panels, and each panel from its diagonal down.
+    """Return the index, counted from the first number of a matrix, of row 0 of one of its columns. The matrix is stored
+    in panels of columns, each panel from its diagonal down, so that row 0 itself is stored in the first panel only.
 
     column : number of the column.
-    height : distance from one column to the next in the first panel.
+    height : distance from one column to the next in the first panel. In each later panel it is `width` less.
     width : columns of a panel.
     """
     before = columns_before(column, width)
@@ -89,8 +89,8 @@ def begin_of_column(column, height, width):
 
 @ti.func
 def column_of(tables: ti.template(), at, column, packed: ti.template()):
-    """Return the index, among the entries of all fronts, at which row 0 of a column of a front stands, or would stand:
-    columns of its update are stored from the diagonal down only.
+    """Return the index of row 0 of a column of a front among the entries of all fronts. Columns that are stored from
+    the diagonal down only have other entries there; the index then only serves to find the rows that are stored.
 
     A front is the dense matrix of unknowns that are eliminated together, its own, and of later ones; its update is what
     is left for the later ones.

@@ -25,8 +25,8 @@ def add_up_the_tree(parent: ti.template(), values: ti.template(), step):
 def order_visits(
     parent: ti.template(), taken: ti.template(), size: ti.template(), first: ti.template(), visit: ti.template(), step
 ):
-    """Find an order of visits to the columns of a factor in which each comes after all those below it in the
-    elimination tree, and these follow each other.
+    """Find an order of visits to the columns of a factor in which the columns below each one in the elimination tree
+    come directly before it (a postorder).
 
     parent : (n,), the parent of each of n columns, a later one; -1 for none.
     taken : (n,) scratch.
@@ -54,8 +54,8 @@ def count_leaf(
     row, column, first: ti.template(), count: ti.template(), above: ti.template(), most: ti.template(),
     leaf: ti.template(),
 ):  # fmt: skip
-    """Count a leaf of the row tree of a row, and its joint with the last leaf, if there is one. The arrays are those of
-    :func:`grow`.
+    """Add 1 to the count of a column that is a leaf of a row. If the row has an earlier leaf, subtract 1 from the count
+    of the *joint*, the column where the paths up the tree from both leaves meet. The arrays are those of :func:`grow`.
 
     row : number of the row.
     column : number of the column that is the leaf.

@@ -1,11 +1,11 @@
-"""How kernels reach the numbers of a site: row by row in one array, blocks of neighbouring sites at a time.
+"""Reads and writes the numbers of sites, which stand row by row in one array, a block of neighbouring sites at a time.
 
 Sweeps, splitting and Cundall-Strack steps work with vectors: they `load` a block, apply a law to it, and `store` the
 result. On a GPU a block is one site, and a vector its number. (Taichi's vectors have no unary minus, and no abs.)
 
-The laws of Newton steps are functions of one site; :func:`fill` applies them to each site of a block. The results go to
-local vectors, which are written as a whole: the compiler cannot tell a loop that writes to memory from one that changes
-its own input, or even the address of the array, so it would not turn it into SIMD instructions (docs/decisions.md, 2).
+The laws of Newton steps are functions of one site; :func:`fill` applies them to each site of a block. Their results go
+to local vectors, which are then written as a whole. The compiler would not turn a loop that writes to memory into SIMD
+instructions, as such a loop might change its own input (docs/decisions.md, 2).
 """
 
 from taichi_bearings.compiler import ti

@@ -15,7 +15,7 @@ from taichi_bearings.lattice.layout import Layout
 
 @dataclass(frozen=True)
 class Stencil:
-    """Constants that a kernel is compiled for. The last axis is the height; neighbours along it stand side by side in
+    """Constants that a kernel is compiled for. The last axis is the height; neighbours along it are neighbours in
     memory.
 
     spin_axes : spin components that are computed, by number of their axis, e.g. (2,) in 2D or (0, 1) in 3D driven in

@@ -1,10 +1,10 @@
-"""Solves with the Cholesky factor of an elimination tree, for one matrix or for several of one pattern at a time.
+"""Solves linear systems with a Cholesky factor, for one matrix or for LANES matrices with one pattern at a time.
 
-A *front* is a group of unknowns that are eliminated together, its own ones, with the later unknowns to which they are
-coupled, its border (kernels/elimination.py). A vector holds the unknowns in the order of elimination and then, front
-after front, what each leaves for its border: its parent takes that, and no front writes where another one does. So
-fronts of which none is above another can be solved at once, and neither their order nor the number of threads or of
-matrices changes a bit of the result.
+A *front* is a group of unknowns that are eliminated together, its *own* unknowns, with the later unknowns to which they
+are coupled, its *border* (kernels/elimination.py). The right-hand side, replaced by the solution, is a vector of the
+unknowns in the order of elimination. After these it has numbers of each front for its border, which its parent in the
+elimination tree reads. No two fronts write to one place. So fronts of which none is above another can be solved at
+once, and neither their order nor the number of threads or matrices changes a bit of the result.
 """
 
 from collections.abc import Callable

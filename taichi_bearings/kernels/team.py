@@ -1,15 +1,14 @@
-"""Threads of the CPU that stay together for many steps, and wait for each other at a barrier in memory.
+"""Runs many steps of a method in one launch of a kernel; its threads wait for each other at a barrier in memory.
 
 Waking Taichi's thread pool for every loop costs 50 to 100 microseconds, as much as a whole sweep of 32^3 spheres. So a
-launch wakes it once: each worker keeps its share of the blocks of sites, and they wait for each other by counting
-arrivals (docs/decisions.md, 3). The shares only decide who computes a value, never the value: any number of workers
-gives the same bits, and one kernel serves them all. On a GPU the same kernel makes a few steps a launch, a thread for
-each site.
+launch wakes it once. Each *worker* (thread) keeps its share of the blocks of sites, and workers wait for each other by
+counting arrivals (docs/decisions.md, 3). The shares only decide who computes a value, never the value, so any number of
+workers gives the same bits, and one kernel serves them all. On a GPU the same kernel makes a few steps a launch, with a
+thread for each site.
 
-To wait by reading a counter again and again is wasteful when other programs want the cores: a worker that is taken off
-its core makes the others wait. So many steps are made in several launches, and a team that got less processor time than
-its size goes on for a while with as many workers as it got processors, before a short launch tries the whole team
-again.
+Waiting by reading a counter is wasteful when other programs want the cores: a worker that is taken off its core makes
+the others wait. So many steps are made in several launches. If a launch gets fewer processors than it has workers, the
+next ones have as many workers as it got processors; after a while a short launch tries all workers again.
 
 A *turn* is one step of a method over all sites; it makes one or more *sweeps*, each of one or more *parts*. A *block*
 is a group of neighbouring sites that are worked on together.
@@ -30,10 +29,10 @@ from taichi_bearings.fields import Fields, on_device
 from taichi_bearings.kernels.memory import BLOCKS, INTEGERS, VALUES, in_range, load, store, with_rings
 
 # turns that a GPU makes in one launch: Python takes 90 microseconds for a launch, CUDA 6 for each part of it; with 16
-# turns a launch, steps would be a third faster and take twice as long to compile (docs/measurements.md)
+# turns, steps would be a third faster, but twice as long to compile (docs/measurements.md)
 TURNS_A_LAUNCH = {"cuda": 8}
 LEAST_CHUNK = 512  # Taichi hands loop iterations to threads in chunks of at least this many
-MISSED_PROCESSORS = 0.2  # a team that got so many processors less than its size shares them with other programs
+MISSED_PROCESSORS = 0.2  # if a launch gets so many processors less than it has workers, other programs use them
 # seconds that a launch should take: the first launch of a team, and the longest after launches went well
 TRIAL_SECONDS, PIECE_SECONDS = 0.01, 0.3
 SHORT_SECONDS = 0.004  # launches that take less are too short to judge by

@@ -1,9 +1,9 @@
 """Finds what all lightest cuts of a graph have in common, exactly: in whole numbers, however large.
 
-A cut parts the nodes into a near side, with the first node, and a far side, with the last node; its weight is that of
-the edges between the sides. A largest flow from the first to the last node leaves capacity in some arcs, which make up
-its *residual graph*. A set of nodes is the near side of a lightest cut if no arc with capacity left leads out of it
-(Picard and Queyranne, Math. Program. Study 13, 1980). It follows that
+A cut divides the nodes into a near side, with the first node, and a far side, with the last node; its weight is the sum
+of the weights of the edges between the sides. A largest flow from the first to the last node leaves capacity in some
+arcs, which make up its *residual graph*. A set of nodes is the near side of a lightest cut if no arc of the residual
+graph leads out of it (Picard and Queyranne, Math. Program. Study 13, 1980). It follows that
 
 * nodes that the first one reaches along such arcs are on the near side of every lightest cut;
 * nodes from which the last one is reached are on the far side of every lightest cut;
@@ -93,7 +93,7 @@ def lightest_cuts(ends: np.ndarray, weight: np.ndarray, nodes: int, rounding: fl
     taken &= ~always
     # an edge without capacity from the first to the last node, so that both are there
     pairs, size = np.append(ends[:, taken], [[0], [last]], axis=1), np.append(_as_whole_numbers(weight[taken]), [0])
-    # a largest flow; the edges at either end alone bound what it can carry
+    # a largest flow, which is at most the capacity of all edges at the first node, or at the last one
     at_most = min(int(size[(pairs == end).any(axis=0)].sum()) for end in (0, last))
     source, sink = np.zeros((2, nodes), dtype=object)
     source[0] = sink[last] = at_most
@@ -102,7 +102,7 @@ def lightest_cuts(ends: np.ndarray, weight: np.ndarray, nodes: int, rounding: fl
     near, far = within_reach(pairs, left, 0), within_reach(pairs, left[::-1], last)
     parted = near[pairs[0]] != near[pairs[1]]
     slack = int(3 * rounding * int(size[parted].sum())) + (rounding > 0)
-    # strongly connected components of the residual graph: cuts pass between them, never through one
+    # No lightest cut divides a strongly connected component of the residual graph.
     row, column = np.concatenate([pairs, pairs[::-1]], axis=1)[:, np.asarray(left > 0, dtype=bool).ravel()]
     arcs = csr_array((np.ones(len(row), dtype=bool), (row, column)), shape=(nodes, nodes))
     label = connected_components(arcs, directed=True, connection="strong")[1]
@@ -128,8 +128,7 @@ def cuts_between(
     between : (nodes,) True for nodes whose side may differ in another lightest cut.
     rounding : relative error of the weights; cuts that are heavier by up to 3 * rounding * least weight also count as
         lightest.
-    returns : the cuts of the smaller graph; and for each node (nodes,) the node of the smaller graph into which it has
-        gone.
+    returns : the cuts of the smaller graph; and (nodes,) the node of the smaller graph that stands for each node.
     """
     last = int(between.sum()) + 1
     place = np.where(between, np.cumsum(between), np.where(above, last, 0))
@@ -137,9 +136,9 @@ def cuts_between(
 
 
 def with_exact_ties(cut: MinimumCut, weight: tuple[np.ndarray, ...], rounding: float) -> MinimumCut:
-    """Return minimum cuts of R lattices of shape N, with fewer spheres in the mask `between`: those that do not lie, or
-    are not known to lie, on one side of all lightest cuts. A flow in machine numbers left these open; here they are
-    tried again in whole numbers of any size, and the cut becomes the lowest of the lightest ones.
+    """Return minimum cuts of R lattices of shape N, of several lightest ones the lowest. Their mask `between`, of
+    spheres that are not known to lie on one side of all lightest cuts, has fewer spheres than that of `cut`: those that
+    flows of rounded weights left there are examined again with exact weights, whole numbers of any size.
 
     cut : the cuts as :func:`taichi_bearings.numerics.minimum_cut.minimum_cut` found them from these weights.
     weight : weights of the contacts, one array (R, *contacts) for each axis.

@@ -3,13 +3,13 @@
 Capacities may span any number of decades. Each round works with the leading bits of the capacity that is left
 (capacity scaling; Gabow, J. Comput. System Sci. 31, 1985):
 
-1. No edge carries more than the flow that can still come. With a bound B on that flow, capacities are cut down to B.
+1. Let B be a bound on the flow that can still come. No edge carries more, so capacities are reduced to B.
 2. Bits below a unit of some B / 2^50 are dropped, so that numbers fit into 64 bits.
-3. A largest flow of these short numbers is taken away. It leaves less than a unit per edge of some cut, so the next B
-   is smaller.
+3. A largest flow of these short numbers is subtracted from the capacities. Some cut then has less than a unit left per
+   edge; that is the next, smaller B.
 
-Connected parts of the graph have bounds and units of their own. The end is exact: the cut that is left over has no
-capacity at all. Letters: E edges, P pairs of nodes that edges join.
+Connected parts of the graph have bounds and units of their own. At the end some cut has no capacity left at all, so
+that the flow is a largest one. Letters: E edges, P pairs of nodes that edges join.
 """
 
 from dataclasses import dataclass
@@ -55,7 +55,7 @@ def exact_flow(
     returns : flow (E,) from low to high end, negative the other way; inflow from the source (nodes,); outflow to the
         sink (nodes,).
 
-    Capacities are whole numbers, int64 or of Python (dtype object), none negative; the flow has the kind that holds it.
+    Capacities are whole numbers, int64 or of Python (dtype object), none negative. The flow is int64 if it fits.
     """
     pairs, own = np.unique(np.sort(ends, axis=0), axis=1, return_inverse=True)
     own, nodes = own.ravel(), len(source)
@@ -80,15 +80,15 @@ def _connected_parts(nodes: int, pairs: np.ndarray) -> np.ndarray:
 
 
 def _take_largest_flow(left: _Residual, pairs: np.ndarray, part: np.ndarray) -> None:
-    """Take a largest flow away from the capacity that is left in a graph.
+    """Subtract a largest flow from the capacity that is left in a graph.
 
     left : capacities, whole numbers of any size, changed in place.
     pairs : (2, P) nodes of each of P joined pairs, lower and upper.
     part : (nodes,) number of the connected part of each node.
 
-    Each round takes the leading bits of all capacities, in a unit for each connected part, and takes the largest flow
-    of these whole numbers away. After that less than one unit for each edge of some cut can still flow. So the next
-    round can cut capacities down to that bound and work with a finer unit, until nothing is left.
+    Each round takes the leading bits of all capacities, in a unit for each connected part, and subtracts a largest flow
+    of these whole numbers. After that less than one unit for each edge of some cut can still flow. So the next round
+    can reduce capacities to that bound and work with a finer unit, until nothing is left.
     """
     count, nodes = int(part.max(initial=-1)) + 1, len(part)
     kind = left.there.dtype
@@ -109,7 +109,7 @@ def _take_largest_flow(left: _Residual, pairs: np.ndarray, part: np.ndarray) -> 
         left.there, left.back = left.there - moved, left.back + moved
         left.fed = left.fed - (into.astype(kind) << shift[part])
         left.drained = left.drained - (out.astype(kind) << shift[part])
-        # the next bound: capacity of the cut behind the nodes that the source still reaches
+        # the next bound: capacity left in the cut between the nodes that the source still reaches and all others
         over = np.stack([units[0] - sent, units[1] + sent]) > 0
         row, column = np.concatenate([pairs, pairs[::-1]], axis=1)[:, over.ravel()]
         above = reachable_from(nodes, row, column, np.flatnonzero(units[2] > into))

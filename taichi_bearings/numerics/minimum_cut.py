@@ -1,19 +1,19 @@
-"""The lightest set of contacts whose removal parts bottom and top of a lattice: the interface of two rigid domains.
+"""Finds minimum cuts of lattices: the lightest sets of contacts whose removal separates bottom and top.
 
 If every sphere rotates either with the bottom or with the top, the contacts between the two sides slip with the imposed
-jump d without its component along the contact n, all others not at all. The power of such a state is the weight of a
-cut, and the least one is that of a minimum cut (Ford and Fulkerson, Canad. J. Math. 8, 1956). In 2D, and wherever the
-contacts of one sideways axis weigh nothing, the lattice is a stack of planar grids, which planar/ cuts exactly. Any
+jump, less its component along the contact; all others do not slip. The power of such a state is the weight of a cut,
+and the least one is that of a minimum cut (Ford and Fulkerson, Canad. J. Math. 8, 1956). In 2D, and wherever the
+contacts of one sideways axis have no weight, the lattice is a stack of planar grids, which planar/ cuts exactly. Any
 other lattice, and every periodic one, takes a largest flow, by OR-tools where it is installed, else by SciPy.
 
 Weights are rounded down to multiples of a unit, 2^-51 to 2^-52 of the lightest level cut, so a flow is a number of
 units below 2^53 and exact. A largest flow of rounded weights is a flow of the true ones, hence a proven lower bound,
-and the cut it leaves weighs at most one unit a contact more.
+and the cut that it shows weighs at most one unit for each of its contacts more.
 
-The capacity that a largest flow leaves unused shows how many lightest cuts there are: a cut is heavier than the
-lightest one by the capacity that is left from its lower to its upper side. So a sphere that the bottom reaches through
-contacts with more than some weight left is below every cut that is heavier by no more than this weight, and likewise
-from the top (Picard and Queyranne, Math. Program. Study 13, 1980).
+A largest flow also shows which cuts are nearly as light: a cut is heavier than the lightest one by the unused capacity
+from its lower to its upper side. So a sphere that the bottom reaches through contacts with more than x of unused
+capacity is below every cut that is heavier by x or less, and likewise from the top (Picard and Queyranne, Math.
+Program. Study 13, 1980).
 
 Letters: R lattices (samples), N the shape of a lattice. Weights come as one array (R, *contacts) an axis, height last.
 """
@@ -29,16 +29,16 @@ from taichi_bearings.numerics.planar import minimum_cuts
 
 WEIGHT_ROUNDING = 2.0**-48  # relative error of weights that are computed: a dozen roundings of 2^-53 each
 ROUNDED_WEIGHT = 2.0**-6  # a cut lighter than this share of the one known before is found anew, in a finer unit
-PRESENT_CAPACITY = 2**40  # capacity of every contact that is there, where a cut of absent ones is known
+PRESENT_CAPACITY = 2**40  # capacity of every contact with weight, if some cut has no weight
 FLOW_BITS = 29  # most bits of a flow in SciPy, which has 31: capacity left over is up to three times the flow
 
 
 @dataclass(frozen=True)
 class MinimumCut:
-    """Minimum cuts of R lattices of shape N: the lightest sets of contacts whose removal parts bottom and top.
+    """Minimum cuts of R lattices of shape N: the lightest sets of contacts whose removal separates bottom and top.
 
-    above : (R, *N) True for spheres on the top side. Contacts between both sides are the cut; of several that are
-        equally light it is the lowest.
+    above : (R, *N) True for spheres on the top side. Contacts between both sides are the cut, of several equally light
+        ones the lowest.
     between : (R, *N) True for spheres that are not proven to lie on the same side of all cuts as light as this one. In
         planar grids whose weights are not rounded that is exact. False for spheres that no chain of contacts with
         weight joins to bottom or top, as they change no cut.
@@ -57,7 +57,8 @@ class MinimumCut:
 
     @property
     def unique(self) -> np.ndarray:
-        """(lattices R,) True where every other set of contacts that parts bottom and top is proven to be heavier."""
+        """(lattices R,) True where every other set of contacts that separates bottom and top is proven to be
+        heavier."""
         return np.asarray(~self.between.reshape(len(self.between), -1).any(axis=1))
 
 
@@ -108,15 +109,15 @@ def flow_cut(weight: tuple[np.ndarray, ...], rounding: float = 0.0) -> MinimumCu
 
 
 def next_cut(weight: tuple[np.ndarray, ...], cut: MinimumCut) -> tuple[np.ndarray, np.ndarray]:
-    """Return for each of R lattices the lightest cut other than `cut`: a mask (R, *N) of the spheres on one side, and
-    the weights (R,). Only cuts count that leave the spheres of either side in one piece.
+    """Return for each of R lattices the lightest cut other than `cut` that leaves the spheres of either side connected:
+    a mask (R, *N) of the spheres on one side, and the weights (R,).
 
     weight : weights of the contacts of R lattices of shape N, one array (R, *contacts) for each axis.
     cut : lightest cuts for these weights, the answer of :func:`minimum_cut`.
 
-    Another cut of this kind lacks at least one contact of `cut`. So for each contact of `cut` in turn the lightest cut
-    without it is found, by giving it an infinite weight, and the lightest of all these is returned. That takes a flow
-    for each contact, so this is for small lattices.
+    Such a cut lacks at least one contact of `cut`. So for each contact of `cut` in turn the lightest cut without it is
+    found, by giving it an infinite weight; the lightest of all these is returned. As that takes a flow for each
+    contact, it is for small lattices.
     """
     sides, lattice = np.empty_like(cut.above), Lattice.of(weight)
     for replica in range(len(sides)):
@@ -219,8 +220,8 @@ def graph_cut(
 ) -> GraphCut:
     """Find a lightest cut between the first and the last node of an undirected graph.
 
-    A cut parts the nodes into a side with the first and a side with the last node; its weight is that of the edges
-    between the sides.
+    A cut divides the nodes into a side with the first and a side with the last node; its weight is the sum of the
+    weights of the edges between the sides.
 
     ends : (2, edges) nodes that each edge joins.
     edges : (edges,) weights, none negative.
@@ -242,8 +243,8 @@ def graph_cut(
         cut = above[ends[0]] != above[ends[1]]
         light = bool(edges[cut].sum() >= at_most * ROUNDED_WEIGHT)
     units, last = int(capacity[cut].sum()), len(above) - 1
-    # a cut heavier by more than `tie` units is heavier by the true weights, too: 3 times `rounding` covers the errors
-    # of both cuts, and rounding down to units costs less than a unit per contact of this cut
+    # A cut that is heavier by more than `tie` units is heavier by the true weights, too: 3 times `rounding` covers the
+    # errors of both cuts, and rounding down to units changes this cut by less than a unit per contact.
     tie = int(3 * rounding * (units + cut.sum())) + int(cut.sum())
     tie += min(int(3 * slack / unit), PRESENT_CAPACITY**2 >> 20)  # beyond that no capacity is left
     from_bottom, from_top = (
@@ -367,9 +368,10 @@ def flow_by_scipy(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.nd
     capacity : int64 below 2^62, (edges,) of both ways, or (2, edges) from the lower to the upper end and back.
     at_most : a number below 2^62 that no flow exceeds.
 
-    SciPy's flows have 32 bits, so the leading bits go first. The capacity that is left then carries no more than the
-    cut found, which fits into fewer bits, and so on: three or four rounds (capacity scaling; Gabow, J. Comput. System
-    Sci. 31, 1985). Edges that no flow can fill are cut down to a little more than the bound on the flow.
+    SciPy's flows have 32 bits, so a first round uses the leading bits of capacities. The flow that can still come is
+    then at most the capacity left in the cut that was found, which has fewer bits, and so on for three or four rounds
+    (capacity scaling; Gabow, J. Comput. System Sci. 31, 1985). Capacities that no flow can fill are reduced to a little
+    more than the bound on the flow.
     """
     nodes = int(ends.max()) + 1
     pairs, own = np.unique(np.sort(ends, axis=0), axis=1, return_inverse=True)

@@ -1,10 +1,10 @@
 """Counts motions of spheres at which nothing slips, and says which unknowns to hold so that none is left.
 
 Let K be the matrix that gives the slips of all contacts from the spins (the unknowns). Its kernel is the space of
-slipless motions. K^T K is eliminated front by front in an order from the centres (multifrontal method, Duff & Reid
-1983), with pivoting within a front. Where no pivot is left in a front, its other unknowns can be anything: each is one
-slipless motion, and with all of them held at 0 the network has none. Rattlers, floating clusters, spheres whose
-contacts all have one direction, and mechanisms are all found so.
+slipless motions. K^T K is eliminated front by front, in an order that follows from the centres of the spheres
+(multifrontal method, Duff & Reid 1983), with pivoting within a front. Unknowns of a front for which no pivot is left
+can have any value: each gives one slipless motion, and with all of them held at 0 the network has none. This finds
+rattlers, floating clusters, spheres whose contacts all have one direction, and mechanisms.
 """
 
 from dataclasses import dataclass, replace
@@ -14,24 +14,24 @@ from scipy import sparse
 
 from taichi_bearings.numerics.blas import BLAS, LAPACK, one_thread
 
-# Pivots are squares of slips over spins. Up to the first number they count as 0; above the second they surely are not.
+# Pivots are squares of slips over spins. Up to NO_PIVOT they count as 0; above SURELY_ONE they surely are not 0.
 NO_PIVOT, SURELY_ONE = 1e-10, 1e-9
-# Largest slip of a motion over its largest spin. Up to the first number it is rounding; above the second surely not.
+# Largest slip of a motion over its largest spin: up to SLIPLESS_SLIP it is rounding, above SOME_SLIP surely not.
 SLIPLESS_SLIP, SOME_SLIP = 1e-13, 1e-11
-PROBES = 4  # random sums of motions whose slips are looked at first
-MOST_PROBED = 4000  # if some of these slip, up to so many motions are looked at one by one
-CHUNK_MOTIONS = 100  # motions that are looked at together
+PROBES = 4  # random sums of motions whose slips are computed first
+MOST_PROBED = 4000  # if some of these slip, the slips of up to so many single motions are computed
+CHUNK_MOTIONS = 100  # motions whose slips are computed together
 MOST_UNKNOWNS = 150_000  # with more unknowns elimination takes more than minutes
 
 
 @dataclass(frozen=True)
 class _Front:
-    """The result of eliminating one front, a set of own unknowns that are eliminated together. It says how some of them
-    follow from others in a motion x without slip: x[kept] = -solve(top^T, below^T x[free and border]).
+    """The result of eliminating one front, a set of unknowns that are eliminated together. In a motion x without slip
+    the unknowns `kept` follow from the others: x[kept] = -solve(top^T, below^T x[free and border]).
 
-    kept, free : numbers, among all unknowns, of the own unknowns that have a pivot, and of those that have none and so
-        can be anything.
-    border : numbers of the later unknowns that the own ones are coupled to.
+    kept, free : numbers of the unknowns of the front that have a pivot, and of those that have none and can have any
+        value.
+    border : numbers of the later unknowns that those of the front are coupled to.
     top : Cholesky factor (kept, kept), lower triangle, of the block of the unknowns with a pivot.
     below : (free + border, kept), the rows of the factor below it.
     """
@@ -48,7 +48,7 @@ class Motions:
     """Slipless motions of the spheres of a network: changes of the spins (unknowns) at which no contact slips.
 
     held : numbers of some unknowns, as many as there are independent motions; with these held at 0 there is none.
-    decided : True if the slips of each motion are clearly rounding, or clearly larger than that.
+    decided : True if the slips of each motion that the elimination found are clearly rounding, or clearly not.
     largest_slip : largest slip of a motion over its largest spin; it is rounding alone if `decided` is True.
     smallest_kept : smallest pivot that was not taken as 0: the square of a slip over a spin.
     fronts : the results of the elimination, from which `basis` computes the motions.
@@ -124,13 +124,13 @@ def slipless_motions(slips: sparse.csr_array, sphere: np.ndarray, parts: Parts) 
 
 
 def _without_slipping_motions(motions: Motions, slips: sparse.csr_array) -> Motions:
-    """Return the motions without those that really slip. Elimination finds motions by pivots below NO_PIVOT. These are
-    squares of slips over spins, so that slips of up to about 1e-5 times the spins get through.
+    """Return the motions without those that really slip. Elimination finds motions by pivots below NO_PIVOT. As pivots
+    are squares of slips over spins, slips of these motions may be up to about 1e-5 times their spins.
 
-    To save time PROBES random sums of all motions are looked at first. If none of these slips, nothing is left out. If
-    one does, the motions are looked at one by one, and those with slips above SLIPLESS_SLIP times their largest spin
-    are left out; but if there are more than MOST_PROBED, nothing is left out and the result has `decided` False. It is
-    also False if some slip lies between SLIPLESS_SLIP and SOME_SLIP.
+    To save time the slips of PROBES random sums of all motions are computed first. If all are rounding, nothing is left
+    out. Else the slips of each motion are computed, and motions with slips above SLIPLESS_SLIP times their largest spin
+    are left out; the result has `decided` False if some slip lies between SLIPLESS_SLIP and SOME_SLIP. With more than
+    MOST_PROBED motions nothing is left out, and `decided` is False.
 
     motions : as the elimination has found them.
     slips : (rows, unknowns), the matrix from spins to slips.

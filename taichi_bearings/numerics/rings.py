@@ -1,4 +1,4 @@
-"""Finds minimum cuts of planar grids whose rows close on themselves: lightest rings around a cylinder, by flows.
+"""Finds minimum cuts of planar grids whose rows close to rings, by flows.
 
 Letters: B grids, w columns, h rows.
 """
@@ -22,8 +22,8 @@ def ring_cuts(sideways: np.ndarray, upward: np.ndarray) -> Iterator[tuple[slice,
     yields : the number of the grid as a slice of length 1, and its cut: side of each sphere, flow, ties and weight. The
         weight of the lightest other cut, `next_weight`, is not known (NaN) where cuts do not tie.
 
-    A flow of rounded weights puts most spheres on one side of all lightest cuts. What lies between is cut again,
-    exactly.
+    A flow of rounded weights shows for most spheres that they are on one side of all lightest cuts. The part of the
+    grid between these is cut again with exact weights.
     """
     for grid in range(len(upward)):
         weight = sideways[grid], upward[grid]
@@ -31,7 +31,6 @@ def ring_cuts(sideways: np.ndarray, upward: np.ndarray) -> Iterator[tuple[slice,
         node, ends = graph_of_lattice(lattice)
         above, open_ = np.zeros((2, int(node.max()) + 1), dtype=bool)
         above[node], open_[node] = cut.above, cut.between
-        # What the flow of rounded weights leaves open is cut again, exactly.
         tied = np.zeros(ends.shape[1], dtype=bool)
         if open_.any():
             exact, place = cuts_between(ends, edges_of(weight), above, open_)

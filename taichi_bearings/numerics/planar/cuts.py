@@ -7,9 +7,9 @@ Flows, 1969; Reif, SIAM J. Comput. 12, 1983). The distances from the left, cut o
 potential of a largest flow: across each contact they differ by no more than its weight.
 
 Weights are rounded down to multiples of a unit, 2^-50 to 2^-52 of the least weight, so that every distance in use is an
-integer below 2^52. Flows then balance without any rounding and are admissible, however many decades the weights span,
-and the least weight is wrong by less than a unit a contact of the cut. So a path of n contacts is proven to be the only
-lightest one where the next is n units longer. Where it is not, the true weights decide (ties.py).
+integer below 2^52. So flows balance without any rounding and are admissible, however many decades the weights span, and
+the least weight is wrong by less than a unit for each contact of the cut. So a path of n contacts is proven to be the
+only lightest one if the next one is n units longer. If it is not, the exact weights decide (ties.py).
 
 Letters: B grids, w columns, h rows. `inner` are the sideways weights without those of the end rows, (B, w - 1, h - 2).
 """
@@ -35,9 +35,9 @@ class MinimumCuts:
         positive towards the higher index; balanced but in the end rows.
     sideways_tied, upward_tied : of the same shapes, True for contacts with weight that are in some but not in all
         minimum cuts.
-    weight : (B,) size of the flow: the weight of the cut, each contact's being rounded down to a unit of some 2^-50 of
-        it; 0 where contacts with weight do not join bottom and top.
-    next_weight : (B,) weight of the lightest other cut that leaves either side in one piece, as good as `weight`. It
+    weight : (B,) size of the flow, which is the weight of the cut with the weight of each contact rounded down to a
+        multiple of some 2^-50 of it; 0 where contacts with weight do not join bottom and top.
+    next_weight : (B,) weight of the lightest other cut that leaves either side connected, rounded as `weight`. It
         equals `weight` for ties, else it is larger; NaN where contacts without weight hide it.
     """
 

@@ -1,13 +1,13 @@
-"""Finds contacts that belong to every minimum cut of a planar grid, and to some: exactly, whatever the weights.
+"""Finds the contacts that are in some but not in all minimum cuts of a planar grid: exactly, whatever the weights.
 
-Rounded down to whole units, a path of n contacts is known to n units. Of the contacts that a lightest path may cross
-there are seldom many: those on a walk longer than the shortest one by less than what rounding took from that. Among
-them the search is repeated with the weights themselves, as whole numbers of Python, which round nothing.
+Rounding weights down to whole units changes the length of a path of n contacts by less than n units. So a lightest path
+crosses only contacts that lie on some path longer than the shortest one by less than that; there are seldom many. Among
+these the search is repeated with exact weights, as whole numbers of Python.
 
-A contact of a lightest path covers a stretch of the least weight, from the distance of one of its faces to that of the
-other, and all of the path covers every stretch once. Contacts without weight cover none: which of them a path crosses
-makes no difference. So one path is followed, and its own contacts are in all lightest paths unless another contact that
-is in some of them covers a part of the same stretch.
+Mark on a line from 0 to the least weight the interval of each contact of lightest paths: from the distance of the face
+on its near side to that of the face on its far side. The intervals of one path cover the line exactly once. Contacts
+without weight cover nothing; which of them a path crosses makes no difference. So a contact of one lightest path is in
+all of them unless another contact of lightest paths covers a part of its interval.
 
 Letters: B grids, w columns, h rows; weights `inner` (B, w - 1, h - 2) and `upward` (B, w, h - 1) as in paths.py.
 """
@@ -106,7 +106,8 @@ def _lightest(steps: list[Step], left: int, right: int) -> tuple[list[int], list
         own.append(before[face])
         face = steps[own[-1]][0]
     own.reverse()
-    # distances at which the path passes from one contact to the next; others that cover a part of a stretch share it
+    # ends of the intervals of the path's contacts on the line of distances; `change` counts the other contacts of
+    # lightest paths that begin, less those that end, to overlap each of these intervals
     spots = [0, *(from_left[steps[number][1]] for number in own)]
     unshared, change, of_path = list[int](), [0] * (len(own) + 1), set(own)
     for number, (tail, head, weight) in enumerate(steps):
