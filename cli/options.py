@@ -82,14 +82,16 @@ FILE_PATH, FOLDER_PATH = FileName(), FolderName()  # types of paths
 
 
 class SettingsCommand(click.Command):
-    """A command that takes all settings of a run beside options of its own.
+    """A command that takes all settings of a run and further options.
 
     Values stay texts, which RunSettings reads. Its help has sections: what is solved, how, files, and a section for
     options that only some methods have. `--help` leaves out options that few need; `--help-all` shows everything.
     """
 
     def get_params(self, context: click.Context) -> list[click.Parameter]:
-        """Return all options of the command in a context of click: the settings of a run, its own, and --help-all."""
+        """Return all options of the command: the settings of a run, further ones, and --help-all. Click calls this with
+        its own context.
+        """
         everything = click.Option(
             ["--help-all"], is_flag=True, is_eager=True, expose_value=False, callback=_show_everything,
             help="Show all options, those that few people need too, and exit.",

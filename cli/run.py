@@ -241,7 +241,7 @@ def _settings(scene: str | None, given: dict[str, Any]) -> tuple[Any, str | None
     values = read_toml(Path(scene)) if scene is not None else {}
     if "scan" in values:
         raise InputError(f"{scene} describes a scan, not a run; `bearings scan {scene}` solves it")
-    if "coefficients" in given:  # the file stored how it drew its own
+    if "coefficients" in given:  # they replace those that the file says how to draw
         values = {key: value for key, value in values.items() if key not in Scene.DRAWN}
     stored_out = values.pop("out", None)
     if values.pop("force", False) is not False:

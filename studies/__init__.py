@@ -1,1 +1,1 @@
-"""Studies beside the package: figures of the paper, benchmarks, stress. Installed as `taichi_bearings_studies`."""
+"""Figures of the paper, benchmarks and stress tests, which use the package. Installed as `taichi_bearings_studies`."""

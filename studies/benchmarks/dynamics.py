@@ -1,8 +1,9 @@
-"""Times Cundall-Strack steps beside LAMMPS and YADE on one processor, in rounds that time every code once.
+"""Times Cundall-Strack steps of this program, of LAMMPS and of YADE on one processor, in rounds that time each once.
 
-The codes run the same scene (others/lammps_scene.py, others/yade_scene.py): driven planes, springs and dampers at every
-contact, capped by friction, fixed centres; ours with a friction of its own at each contact, theirs with one for all.
-Theirs always rotate spheres in three components; ours in two from linear spins and in three from random ones.
+The codes run the same scene (others/lammps_scene.py, others/yade_scene.py): driven planes, fixed centres, and at every
+contact a spring and a damper whose force friction limits. In this program each contact has another friction, in the
+others all have one. The others always compute three components of the spins; this program computes two from linear
+spins and three from random ones.
 
 All times are processor times: other programs on the machine affect these less, and the codes report no others.
 """

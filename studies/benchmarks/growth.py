@@ -1,4 +1,4 @@
-"""Measures how time and memory of a proven minimum grow with a cubic lattice, beside Clarabel, and what bounds them.
+"""Measures how time and memory of a proven minimum, and of Clarabel, grow with a cubic lattice, and what bounds them.
 
 Each lattice is solved in a process of its own, so that its memory can be measured. Our times include the proof of all
 contact states. Clarabel solves to the same tolerance and proves nothing; the time in which its matrices are built is

@@ -1,4 +1,4 @@
-"""Measures how fast sweeps, time steps and splitting iterations are, beside the best NumPy and plain C for a sweep."""
+"""Measures how fast sweeps, time steps and splitting iterations are; sweeps also in the best NumPy and in plain C."""
 
 import tempfile
 import time

@@ -74,8 +74,8 @@ class ConicProgramme:
 
         x : (columns,) solution of the programme; its first numbers are the unknown spins over the imposed jump.
 
-        Numbers that are not finite become 0; spins beyond those of the planes are cut to them, and the planes get
-        theirs.
+        Numbers that are not finite become 0; free spins are limited to those of the planes, and driven spheres get
+        their imposed ones.
         """
         scene, axes, lattice = self.scene, self.scene.minimum_spin_axes, self.scene.lattice
         spin = self.system.all_spins(scene.jump * np.nan_to_num(x[: self.system.unknowns]))

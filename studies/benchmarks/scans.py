@@ -1,8 +1,9 @@
-"""Measures samples a second of a scan: ours to proven states, in the workers of `bearings scan`, beside Clarabel.
+"""Measures samples a second of a scan, by this program (to proven states, in the workers of `bearings scan`) and by
+Clarabel.
 
-Clarabel runs in as many processes of the same kind, solves to the same tolerance and proves nothing. Both take the same
-samples, in turns; the workers are warm. For Clarabel only what differs between samples is built again: its matrices are
-kept.
+Clarabel runs in as many processes of the same kind, solves to the same tolerance and proves nothing. Both solve the
+same samples, in turns, once all workers have started and compiled. The matrices for Clarabel are built once; only what
+differs between samples is built again.
 """
 
 import time

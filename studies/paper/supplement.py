@@ -1,5 +1,5 @@
-"""The supplement's distribution of power over the contacts of 32x32x32 spheres: the certified one beside that of a
-gradient descent.
+"""The supplement's distribution of power over the contacts of 32x32x32 spheres: that of a gradient descent, compared
+with that of the certified minimum.
 
 At the minimum a contact either slips or does not, and which of the two is proven. A descent that has not ended lets all
 of them slip a little, so its histogram has decades that are not there at the minimum. The states of the minimum show
@@ -176,10 +176,10 @@ def largest_slip_error(solution: Solution) -> float | None:
         return None
     judgement = Judgement.of(of_lattice(solution.scene), solution.spin, solution.spin_rounding, solution.friction)
     contacts = None if judgement is None else Slipping.of(judgement.network.motion)
-    if contacts is None or (near := nearest_minimum(contacts)) is None:
+    if contacts is None or (nearest := nearest_minimum(contacts)) is None:
         return None
     # relative changes of each slip: by Newton's method, and a bound on that from its result to the minimum
-    improved, to_minimum = near
+    improved, to_minimum = nearest
     by_newton = np.abs(improved.size.value / contacts.size.value - 1)
     return float((by_newton + to_minimum * (1 + by_newton)).max(initial=0.0))
 

@@ -55,9 +55,9 @@ def cuts(length: int, lowest: float, samples: int, seed: int) -> dict[str, Any]:
     `weight`: of the contacts of the cut, in units of the largest friction. `roughness`: variance of the height of the
     cut over its L x L columns, in spheres squared.
 
-    The lattice is periodic in both sides, and the cut is held: it passes through one given contact in the middle. A
-    free cut would be the lightest of many surfaces, of fewer the rougher they are, which changes the law up to large
-    sizes; a held one pays for each layer by which it leaves its contact in a spike.
+    The lattice is periodic in both sides, and the cut is held: it must pass through one given contact in the middle. A
+    free cut would be the lightest of many surfaces; their number falls with their roughness, which changes the law up
+    to large sizes. A held cut that departs from its contact has to cross the contacts of a spike around it.
     """
     middle = round(HEIGHT / 2 * length**ROUGHNESS)  # half the height
     rng = np.random.default_rng([seed, length, round(1000 * lowest)])

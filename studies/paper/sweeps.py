@@ -79,7 +79,7 @@ def _sweep(found: WEIGHTS, inner: WEIGHTS, upward: WEIGHTS, unseen: CHANGES):
 
 @ti.func
 def _shorten_column(
-    grid: int, column: int, beside: int, contact: int,
+    grid: int, column: int, neighbour: int, contact: int,
     found: ti.template(), inner: ti.template(), upward: ti.template(), unseen: ti.template(),
 ) -> int:  # fmt: skip
     """Shorten the distances of a column of faces (squares between four discs) by steps from the neighbour column, then
@@ -87,7 +87,7 @@ def _shorten_column(
     are of B grids with w columns and h rows of discs.
 
     grid, column : indices of the grid and of the column.
-    beside : index of the neighbour column.
+    neighbour : index of the neighbour column.
     contact : index of the column of upward contacts that lie between both columns of faces.
     found : (B, w, h - 1) distance of each face from the outside on the left: the least weight of the contacts that a
         path to it crosses. Changed in place.
@@ -97,7 +97,7 @@ def _shorten_column(
     """
     rows, has_changed = found.shape[2], 0
     for row in range(rows):
-        distance = found[grid, beside, row] + upward[grid, contact, row]
+        distance = found[grid, neighbour, row] + upward[grid, contact, row]
         if distance < found[grid, column, row]:
             found[grid, column, row] = distance
             has_changed = 1

@@ -51,7 +51,7 @@ AXES = [(1, 0, 0), (4, 1, 0), (2, 1, 0), (10, 9, 0), (1, 2, 0), (1, 4, 0), (0, 1
 OTHER = {f"axis ({x}, {y}, {z})": {"direction": (float(x), float(y), float(z))} for x, y, z in AXES}
 ALONG = ("axis (1, 0, 0)", "axis (0, 1, 0)")  # drivings whose jump lies along a lattice axis
 HEIGHT = "axis (0, 0, 1)"
-RATES = {  # C of the top beside A = (1, 1, 0), for the lattice spacing 1
+RATES = {  # bearing states of the top with different C, for the lattice spacing 1
     f"A = (1, 1, 0), C = {rate:g}": {"top": (1.0, 1.0, 0.0, rate), "bottom": (0.0, 0.0, 0.0, 0.0)}
     for rate in (0.001, 0.01, 0.1, 0.3, 1.0, 10.0, 1000.0)
 }

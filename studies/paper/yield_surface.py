@@ -8,10 +8,10 @@ in balance within their friction can hold (plastic limit analysis: Andersen, Chr
 of Moreau's sweeping process). A torque that drives is a subgradient of P (normality), and P = torque . (a, c). The set
 lies between the proven torques and the proven half-spaces T . (a, c) <= P.
 
-Driven about x alone, no layer y = const is driven: together these layers carry any T_y up to some t, the yield torque
-about y beside a top that rotates about x. So the surface has flat parts there, of the width 2 t, and t < P(y) is how
-much crossed driving weakens. Where top and bottom differ in both components in each layer the torque is unique (see
-analysis/structure), so the surface has no flat part there.
+If the top rotates about x alone, no layer y = const is driven: together these layers carry any T_y up to some t, the
+yield torque about y while the top rotates about x. So the surface has flat parts there, of the width 2 t, and t < P(y)
+shows how much the rotation about x weakens the bearing. Where top and bottom differ in both components in each layer
+the torque is unique (see analysis/structure), so the surface has no flat part there.
 
 A direction is (a_x, a_y, c). Powers are energy/time at a spin of 1, so torques and powers have the same numbers.
 """
@@ -208,9 +208,9 @@ def draw_yield_surface(named: Any) -> Figure:
         (named.square, named.squaring, ORANGE, "power about x + y"),
     ):
         draw_means(axes[1, 0], {side: 1 - share[side] for side in sides}, fmt="o", color=color)
-        far = np.array([fit.smallest, sides[-1]])
+        ends = np.array([fit.smallest, sides[-1]])
         label = f"{text}: $L^{{{2 * fit.value:.2f} \\pm {2 * fit.total:.2f}}}$"
-        axes[1, 0].plot(far, fit.amplitude * far ** (2 * fit.value), color=color, label=label)
+        axes[1, 0].plot(ends, fit.amplitude * ends ** (2 * fit.value), color=color, label=label)
     axes[1, 0].set(yscale="log", ylabel="share that is missing")
     axes[1, 0].set_yticks([0.1, 0.2, 0.3, 0.5, 0.7], ["0.1", "0.2", "0.3", "0.5", "0.7"])
     name_sizes(axes[1, 0], sides, "side of the cube, $L$")
@@ -219,8 +219,8 @@ def draw_yield_surface(named: Any) -> Figure:
     for (name, of), color in zip(named.per_area.items(), (BLUE, ORANGE, GREEN), strict=True):
         draw_means(axes[1, 1], of, 1 / np.array(list(of)), fmt="o", color=color, label=name)
         fit = named.limits_of[name]
-        near = np.array([0, 1 / fit.smallest])
-        axes[1, 1].plot(near, fit.value + fit.amplitude * near, color=color)
+        inverse = np.array([0, 1 / fit.smallest])
+        axes[1, 1].plot(inverse, fit.value + fit.amplitude * inverse, color=color)
     axes[1, 1].set(xlabel="$1 / L$", ylabel=r"$P / (F_n R L^2 |\Delta\omega|)$", xlim=(0, None))
     axes[1, 1].set_title("(d) power an area")
     axes[1, 1].legend()

@@ -31,7 +31,7 @@ from .axes import AXES, Axis, Cell, Row
 from .cells import CRASH, OUTCOMES, RIGHT, WRONG, Judge, solve_cells
 
 Line = dict[str, Any]
-START_UP = 60.0  # seconds, beside twice the time limit, that a worker may take to start, to compile and to prove
+START_UP = 60.0  # seconds that a worker may take to start, to compile and to prove, in addition to twice the time limit
 JOURNAL = "cells.jsonl"
 UNREADABLE = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError)
 """Errors at a record that another program has written; its cell is solved again."""

@@ -30,7 +30,7 @@ SPIN_COLOURS = "coolwarm"
 MOST_DISCS = 2_500  # a plane of more discs is drawn as an image
 MOST_LINES = 5_000  # more lines are drawn as pixels in PDF and SVG, too
 BAR = 0.75  # width in inches of a colour bar with its label
-LEAST_HEIGHT = 0.6  # least height over width of a panel beside which the labels of a colour bar fit
+LEAST_HEIGHT = 0.6  # least height over width of a panel whose colour bar can stand at its right
 PALE = np.array([0.93, 0.93, 0.93, 1.0])  # colour of discs that only carry contacts
 
 

@@ -160,7 +160,7 @@ def check_planes(planes: Planes, shape: tuple[int, ...]) -> None:
 
 
 def columns_on(page: Page, number: int, least: float = BROAD) -> int:
-    """Return how many panels fit beside each other on a page of two columns, at least 1.
+    """Return how many panels fit into a row on a page of two columns, at least 1.
 
     page : how the figure is printed.
     number : number of panels there are, the most that is returned.

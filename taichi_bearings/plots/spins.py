@@ -171,8 +171,8 @@ def _draw_lines(axes: Axes, sheet: Sheet, power: np.ndarray, site: float) -> Log
 
 
 def _draw_cuts(lattice: Lattice, power: np.ndarray, page: Page, symbol: str) -> Figure:
-    """Draw planes of a cubic lattice with the power of their contacts, and beside them the power within each layer and
-    from each layer to the next.
+    """Draw planes of a cubic lattice with the power of their contacts and, in a further panel, the power within each
+    layer and between successive layers.
 
     lattice : the lattice.
     power : (contacts E,), power of all contacts, 0 where they do not slip.

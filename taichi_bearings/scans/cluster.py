@@ -1,7 +1,7 @@
 """Solves the samples of a scan on a Dask cluster, by the same worker processes as on this machine.
 
-Every thread of a Dask worker keeps one process of its own, as those of a :class:`LocalEngine` do. So a sample gets a
-fresh main thread and a Taichi runtime of one thread wherever it is solved, and the same bits. A sample that hangs,
+Every thread of a Dask worker has a worker process, like the threads of a :class:`LocalEngine`. So wherever a sample is
+solved, it has a main thread and a Taichi runtime of one thread, and its result has the same bits. A sample that hangs,
 aborts or runs out of memory ends that process, not the Dask worker, which stays in touch with its scheduler however
 long a sample takes. If a Dask worker is lost with its machine, Dask gives its samples to another one; if that is lost
 too, the scan tries them once more.

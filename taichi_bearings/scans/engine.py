@@ -190,7 +190,7 @@ Solved = tuple[list[Record] | None, str]  # the records of a unit, or the reason
 _solvers: dict[tuple[str, int], "_Solver"] = {}  # by engine and thread of this process
 _originals: dict[str, Original] = {}  # by engine, the process of which its workers are copies
 _closed: set[str] = set()  # names of engines that are closed
-_one_at_a_time = threading.Lock()  # held to start or end a process: multiprocessing checks all others at each start
+_one_at_a_time = threading.Lock()  # to start or end a process: at each start multiprocessing checks all others
 
 
 def solve_unit(unit: Unit, engine: str, work: Work, allowed: Callable[[Unit], float]) -> Solved:

@@ -79,7 +79,7 @@ def units_of(samples: Sequence[Sample], structure: bool = False, workers: int = 
         spheres, in_a_second = spheres_of(settings), int(UNIT_SECONDS / seconds_of(settings, structure))
         number = max(in_a_second, run_kind_of(settings).samples_at_a_time(settings, spheres))
         number = max(1, min(number, MOST_IN_A_UNIT, MOST_SITES_IN_A_UNIT // spheres))
-        # with this number each worker gets as many units as rounds; the last ones are as full as the others
+        # so many units for each worker, and all of equal size
         rounds = math.ceil(len(group) / (number * workers))
         number = math.ceil(len(group) / (rounds * workers))
         units += [tuple(group[start : start + number]) for start in range(0, len(group), number)]

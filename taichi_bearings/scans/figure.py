@@ -44,7 +44,7 @@ MOST_CURVES = 24
 NAMED_BY_VALUE = ("shape", "law", "distribution")  # settings whose values need no name in a title
 DRAWN_COLUMNS = ("plot_x", "plot_y", "plot_low", "plot_high")
 Point = Json
-"""All samples of equal parameters, as one row of the table beside the figure.
+"""All samples of equal parameters: a point of the figure, and a row of its table.
 
 x : value of the parameter.
 number : number of samples with different coefficients.
@@ -90,7 +90,7 @@ def plot_scan(
     tell: Callable[[str], None] = lambda _: None,
     page: Page = PAGE,
 ) -> list[Path]:
-    """Draw a figure of a scan, write the numbers behind it beside it as CSV, and return both paths.
+    """Draw a figure of a scan, write its numbers as CSV into the same folder, and return both paths.
 
     path : folder of the scan.
     request : what is drawn: the quantities on both axes, one curve for each value of which setting, conditions.
@@ -309,7 +309,7 @@ def shared_by_all(scan: StoredScan, columns: Mapping[str, np.ndarray], request: 
 
 
 def rows_of(points: Points, request: Request) -> tuple[list[str], list[list[Any]]]:
-    """Return the table that is written beside the figure: the names of its columns, and a row for each point. A row
+    """Return the table that is written with the figure: the names of its columns, and a row for each point. A row
     begins with the values of the columns `request.by`, which name the curve; then come x and all numbers of the point.
 
     points : the points of each curve, by these values.

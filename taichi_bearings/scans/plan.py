@@ -135,7 +135,7 @@ def read_plan(
     """
     document, axes = _read(path, overrides)
     document, scanned, table = document | dict(options), tuple(key for axis in axes for key in axis), settings_table()
-    own = _scan_options_in(document)
+    scan_options = _scan_options_in(document)
     for key in scanned:
         if key in table and table[key].not_scanned:
             raise InputError(f"{key} cannot be scanned: {table[key].not_scanned}")
@@ -150,7 +150,7 @@ def read_plan(
             f"{path} with its values written out takes {len(text):,} bytes, and at most {MOST_SETTINGS_TEXT:,} are "
             "read; use ranges instead of lists"
         )
-    return ScanPlan(scanned, tuple(_samples(path, document, scanned, _points(axes))), text, own)
+    return ScanPlan(scanned, tuple(_samples(path, document, scanned, _points(axes))), text, scan_options)
 
 
 Axis = Json  # keys that advance together, with the list or range of each

@@ -35,7 +35,7 @@ from taichi_bearings.scene.law import COULOMB
 from taichi_bearings.version import VERSION
 
 DRAWN = ("seed", "coefficients")  # settings from which a disorder follows
-CENSUS_COLUMNS = ("used", "asked", "left_out")  # the last ones of the table beside a figure of a scan
+CENSUS_COLUMNS = ("used", "asked", "left_out")  # last columns of the table that is written with a figure of a scan
 FIRST_COLUMNS = ("power", "lower_bound", "gap", "status", "method", "slipping", "slipless", "seconds")
 """Columns that come after the scanned keys."""
 # columns that have a value only if slipless contacts join bottom and top
@@ -98,8 +98,8 @@ def open_scan(path: Path) -> StoredScan:
 
 
 def outdated_figures(folder: Path, journals: int) -> list[Path]:
-    """Return the figures of a scan in its folder, and the tables beside them, if the journals have grown since scan.h5
-    was written; else none.
+    """Return the figures of a scan in its folder, and their tables, if the journals have grown since scan.h5 was
+    written; else none.
 
     folder : folder of the scan.
     journals : size of all journals, bytes.

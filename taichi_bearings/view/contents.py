@@ -113,14 +113,14 @@ def facts_of(drawn: PointsAndLines) -> Json:
     drawn : spheres and contacts as points and lines, with their columns, their structure, and the answer they belong
         to."""
     structure, states, law = drawn.structure, drawn.contacts["state"].values, drawn.structure.scene.law
-    own, fastest, natural, bound = (_of_lattice if drawn.is_lattice else _of_packing)(drawn)
+    specific, fastest, natural, bound = (_of_lattice if drawn.is_lattice else _of_packing)(drawn)
     proven = bool(drawn.contacts["proven"].values[states != ContactState.DRIVEN].all())
     decided = "proven" if proven else f"decided by {'slip and friction' if law.holds else 'slip'}, not proven"
     answer = f"{drawn.answer.method}: {drawn.answer.status.value}; P = {structure.power:.6g}{natural}, {bound}"
     tied, undecided = (structure.contacts_in(kind) for kind in (ContactState.TIED, ContactState.UNDECIDED))
     keys = ("coefficient", "viscosity")[: len(law.quantities)]
     return {
-        **own,
+        **specific,
         **_ends_of_scales(drawn, fastest),
         **_snapshots(drawn.moments),
         "version": VERSION,
@@ -148,7 +148,7 @@ def _of_lattice(drawn: PointsAndLines) -> tuple[Json, float, str, str]:
     lattice, unit = scene.lattice, scene.strength * scene.lattice.radius * abs(scene.imposed[0])
     natural = f" = {drawn.structure.power / unit:.6g} Fₙ R ω_T" if scene.law.is_rate_independent and unit > 0 else ""
     bound = f"{_name_of_minimum(scene.law)}proven within {gap:.1e}" if np.isfinite(gap) else "without a proven bound"
-    own = {
+    facts = {
         "title": f"{'×'.join(map(str, lattice.shape))} {scene.law}{scene.periodic_in_words}, {scene.source}",
         "shape": list(lattice.shape),
         "origin": [0] * lattice.dimension,
@@ -162,7 +162,7 @@ def _of_lattice(drawn: PointsAndLines) -> tuple[Json, float, str, str]:
         "jump_speed": lattice.radius * scene.jump,
         "normal_force": scene.normal_force,
     }
-    return own, scene.fastest, natural, bound
+    return facts, scene.fastest, natural, bound
 
 
 def _of_packing(drawn: PointsAndLines) -> tuple[Json, float, str, str]:
@@ -177,7 +177,7 @@ def _of_packing(drawn: PointsAndLines) -> tuple[Json, float, str, str]:
     named = [f"driven body {number}" for number in bodies] if len(bodies) == 2 else ["one driven body"] * 2
     bound = _name_of_minimum(law) + (f"proven {within}" if proof == "proven" else f"{within}, {proof}")
     what = "discs" if network.dimension == 2 else "spheres"
-    own = {
+    facts = {
         "title": f"{network.spheres:,} {what}, {drawn.structure.movable:,} contacts, {law}",
         "shape": None,
         "origin": network.center[0].tolist(),  # float32 resolves distances from the first sphere, not large coordinates
@@ -191,7 +191,7 @@ def _of_packing(drawn: PointsAndLines) -> tuple[Json, float, str, str]:
         "jump_speed": fastest,
         "normal_force": None,
     }
-    return own, fastest / _median(network.radius), "", bound
+    return facts, fastest / _median(network.radius), "", bound
 
 
 def _name_of_minimum(law: Law) -> str:
