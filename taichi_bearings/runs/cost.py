@@ -24,17 +24,17 @@ from taichi_bearings.words import counted
 PROCESS_BYTES = 190e6  # memory of an interpreter in which this package, SciPy and Taichi are loaded
 PROCESS_SECONDS = 2.0  # time to start it, and to draw the figures of a run
 MOST_TOGETHER = 8  # number of samples whose matrix factors an interior point holds at a time
-# for each sphere of a packing: bytes of a minimum with normals along the axes, and with others; bytes and seconds a
-# step of a dynamics
+# for each sphere of a packing: bytes for a minimum, with normals along the axes and with others; bytes of a dynamics,
+# and seconds of one of its steps
 ALONG_BYTES, OBLIQUE_BYTES, STEPPED_BYTES, STEP_SECONDS = 15.5e3, 31e3, 6e3, 8e-8
-# beyond so many spheres the bytes of each of a packing with oblique normals grow as this power of their number
+# with oblique normals and more spheres than this, the bytes for each sphere grow as this power of the number of spheres
 FILLED_SPHERES, FILLED_POWER = 1000, 0.2
-# time of a packing with normals along the axes, and with others, over that of a lattice with as many spheres
+# time of a packing divided by that of a lattice with as many spheres: with normals along the axes, and with others
 ALONG_FACTOR, OBLIQUE_FACTOR = 2.0, 8.0
-# what a minimum whose contact states are not asked for (--no-settle) takes of the time, and in a packing of the bytes;
-# and the most bytes of each sphere there, as the matrix of a large packing is given back before the minimum is judged
+# factors on the time, and in a packing on the bytes, if contact states are not asked for (--no-settle); and the most
+# bytes for each sphere of a packing then, as a large matrix is freed before the minimum is judged
 UNSETTLED_SECONDS, UNSETTLED_BYTES, MOST_UNSETTLED_BYTES = 0.6, 0.8, 38e3
-# spheres beyond which the method of a packing is told without a search for motions that make no contact slip
+# spheres beyond which the method of a packing is chosen without a search for motions that make no contact slip
 MOST_SEARCHED = 5_000
 
 
@@ -106,16 +106,20 @@ def cost_of_lattice(settings: RunSettings, row: type[MethodOptions], scene: Scen
     """
     lattice, shape = scene.lattice, settings.shape
     judged = PROCESS_SECONDS + row.judged_seconds(shape) * settings.replicas
-    room = bytes_of_lattice(row, shape, lattice.periodic, settings.replicas)
+    needed = bytes_of_lattice(row, shape, lattice.periodic, settings.replicas)
     step = row.step_seconds(shape)
     if step is None:
         solve = row.seconds(shape, settings.tolerance)
         if solve is not None and _is_unsettled(settings):
             solve *= UNSETTLED_SECONDS
-        return Cost(row.name, _seconds_in_all(settings, judged, solve and solve * settings.replicas), None, None, room)
+        return Cost(
+            row.name, _seconds_in_all(settings, judged, solve and solve * settings.replicas), None, None, needed
+        )
     steps = _steps(settings, row, scene)
     step *= settings.replicas
-    return Cost(row.name, _seconds_in_all(settings, judged, None if steps is None else steps * step), step, steps, room)
+    return Cost(
+        row.name, _seconds_in_all(settings, judged, None if steps is None else steps * step), step, steps, needed
+    )
 
 
 def _is_unsettled(settings: RunSettings) -> bool:
@@ -181,9 +185,9 @@ def cost_of_packings(settings: RunSettings, row: type[MethodOptions], scene: Bea
     settles = not _is_unsettled(settings)
     in_time = 1.0 if settles else UNSETTLED_SECONDS
     seconds = PROCESS_SECONDS + count * alike * in_time * (ALONG_FACTOR if along else OBLIQUE_FACTOR)
-    room = PROCESS_BYTES + bytes_of_packing(spheres, along, settles)
+    needed = PROCESS_BYTES + bytes_of_packing(spheres, along, settles)
     name = method_of(scene, settings.method, looks_for_motions=spheres <= MOST_SEARCHED)
-    return Cost(name, seconds, None, None, room)
+    return Cost(name, seconds, None, None, needed)
 
 
 def bytes_of_packing(spheres: int, along: bool = False, settles: bool = True) -> float:

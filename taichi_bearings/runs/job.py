@@ -121,7 +121,7 @@ class RunKind(ABC):
         """
 
     def idle_seed(self, settings: RunSettings) -> list[str]:
-        """Return a list with one sentence if nothing is drawn from the seed of the settings; else an empty list. Of
-        lattices nothing is said.
+        """Return a list with one sentence if nothing is drawn from the seed of the settings; else, and always for
+        lattices, an empty list.
         """
         return []

@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from taichi_bearings.solvers.drive import Checkpoints, Monitor
     from taichi_bearings.solvers.method import Method
 
-# samples of a unit for the interior point, which steps eight at once: others follow those done. The more there are, the
-# fewer steps are made with free places; small samples take the second number of spheres together
+# least samples that a worker gets for the interior point, which steps eight at once and replaces those that are done:
+# with more samples, fewer steps are made with less than eight. Small samples together have about so many spheres
 BLOCK_SAMPLES, BLOCK_SPHERES = 24, 50_000
 
 
@@ -277,7 +277,7 @@ def solve_job(
     solution = solve(job.scene, method, spin, stop, monitors, settings.slip_threshold, recording, checkpoints)
     stalled = solution.method == "interior-point" and solution.status is Status.STALLED and not solution.interrupted
     if settings.method == "auto" and stalled and not OperatorSplitting.refusal(job.scene):
-        # each on its own, so that it has the same bits alone and beside others; not-a-number is no gap that is small
+        # one sample after another, so that each has the same bits as alone; `~` also takes a gap that is not-a-number
         for number in np.flatnonzero(~(solution.gap <= max(settings.tolerance, SPLITTING_HELPS))).tolist():
             one, seconds = solution.sample(number), max(stop.seconds - solution.seconds, 1e-3)
             acting = one.scene.coefficient[one.scene.coefficient > 0]

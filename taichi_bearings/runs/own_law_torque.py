@@ -19,7 +19,7 @@ import numpy as np
 from taichi_bearings.scene import Bearing, Solution, Status
 
 Solve = Callable[[Bearing], Solution]
-SHARP = 1e-3  # a strength is told if it is proven within this, relatively
+SHARP = 1e-3  # a strength is reported if it is proven within this, relatively
 FOUND_ERROR = 1e-9  # relative error to which the strength is sought
 FACTOR, MOST_TRIED = 10.0, 8  # the strength is sought between 1 / FACTOR^MOST_TRIED and FACTOR^MOST_TRIED
 SUMMED = 1 + 1e-13  # factor that makes a bound true in spite of the rounding of sums

@@ -35,7 +35,7 @@ from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
 from taichi_bearings.scene.packing import Packing
 from taichi_bearings.scene.readers.found import TOLERANCE, Sides, completed
-from taichi_bearings.solvers.packings import MOST_SIDE_BY_SIDE, least_power, side_by_side, some_of
+from taichi_bearings.solvers.packings import MOST_IN_GROUP, groups_of_samples, least_power, some_of
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.solvers.table import METHODS, InteriorPoint, MethodOptions, row_of_packing
 from taichi_bearings.words import counted, shown
@@ -49,8 +49,8 @@ COEFFICIENTS = ("friction", "viscosity")  # arrays of a packing, in the order of
 AXES_OF_PACKINGS = {"center": 2, "contact": 2, "normal": 2}  # axes of an array of one sample; other arrays have one
 
 
-BLOCK_SECONDS = 30.0  # estimated work of a unit of packings, which a kill can lose
-BESIDE_BYTES = 10e3  # a sphere, of each other sample of a packing that is solved beside one
+BLOCK_SECONDS = 30.0  # estimated time of the samples of packings that a worker gets at a time; a kill loses this work
+BESIDE_BYTES = 10e3  # bytes for each sphere of each further sample of a packing that is solved at the same time
 
 
 class PackingJob(Job):
@@ -141,7 +141,7 @@ class PackingRuns(RunKind):
         if not are_solved_together(settings, spheres):
             return 1
         alike = InteriorPoint.seconds((spheres, 1, 1), settings.tolerance) or 0.0
-        return min(MOST_SIDE_BY_SIDE, int(BLOCK_SECONDS / (OBLIQUE_FACTOR * alike)))
+        return min(MOST_IN_GROUP, int(BLOCK_SECONDS / (OBLIQUE_FACTOR * alike)))
 
     def seconds(self, settings: RunSettings) -> None:
         """Return None whatever the settings: it is not known beforehand how long a packing takes."""
@@ -240,7 +240,7 @@ def _blocks(settings: RunSettings, scene: Bearing) -> Iterator[tuple[int, int]]:
     scene : the packing with all samples.
     """
     if are_solved_together(settings, scene.network.spheres):
-        yield from side_by_side(scene)
+        yield from groups_of_samples(scene)
     else:
         yield from ((number, number + 1) for number in range(scene.replicas))
 
@@ -331,7 +331,7 @@ def packing_of(
 
 
 def _refuse_twice(settings: RunSettings, found: Mapping[str, object]) -> None:
-    """Raise InputError if an option says again what the file of the packing holds.
+    """Raise InputError if an option gives a value that the file of the packing has, too.
 
     settings : settings of the run.
     found : the arrays of the file by name.

@@ -118,6 +118,7 @@ def _collected(structure: Structure, drawn: Drawn, time: float | None, slip_thre
     """
     answer, moments = structure.answer, _moments(structure, time, slip_threshold)
     spheres, contacts, network, row = dict(drawn.spheres), dict(drawn.contacts), structure.whole, SPHERES["spin"]
+    # columns of every sample, then those of lattices or of other packings
     spheres["spin"] = Finding(_in_space(structure.spin[None], network.dimension)[0], row.unit, row.text)
     contacts |= _of_contacts(answer)
     bearing = structure.scene

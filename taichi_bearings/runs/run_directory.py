@@ -134,6 +134,7 @@ def tidy(parent: Path, ours: str = "") -> None:
     parent : the folder.
     ours : a name in it whose lock this process itself holds.
     """
+    # locks and folders, by the name that they belong to; hidden files are removed unless another process writes them
     found: dict[str, list[re.Match[str]]] = {}
     for match in filter(None, map(LEFTOVER.fullmatch, os.listdir(parent))):
         if match["kind"] == "in-use" or (parent / match[0]).is_dir():

@@ -309,6 +309,7 @@ class RunSettings:
         values = {key: item.read(key, given.get(key, item.default)) for key, item in table.items()}
         if unknown := given.keys() - table.keys():
             raise TypeError(f"a run has no setting {', '.join(sorted(unknown))}")
+        # stored are values that differ from their defaults, and all options of the method; of "auto" those given
         method = values["method"]
         kept = {key for key, value in values.items() if value != table[key].default}
         kept |= options_of(METHODS[method]).keys() if method in METHODS else given.keys()
@@ -336,7 +337,7 @@ class RunSettings:
 
     @property
     def values(self) -> Json:
-        """All keys with their values; of the options of methods those that are stored."""
+        """Values of all keys: the settings of every run, and the options of methods that are stored."""
         return {key: getattr(self, key) for key in self.__dataclass_fields__ if key != "owned"} | dict(self.owned)
 
     @classmethod
@@ -423,6 +424,7 @@ class RunSettings:
             methods, laws = users_of(table[key])
             needs = [] if method.name in methods else [f"--method {' or '.join(methods)}"]
             needs += [] if law.name in laws else [f"--law {' or '.join(laws)}"]
+            # the first reason that applies
             if self.has_table and key in OF_SIDES:
                 continue
             if self.packing is not None and key in OF_DRIVEN:
@@ -447,8 +449,8 @@ class RunSettings:
         return unused
 
     def fitting(self, method: type[MethodOptions], strict: bool = True) -> "RunSettings":
-        """Return the settings with unused keys set to their defaults; of the options of methods only those of this one
-        are stored.
+        """Return the settings with unused keys set to their defaults. Options of other methods than this one are not
+        stored.
 
         method : class of the method whose options are used.
         strict : True to raise InputError instead if a key was given that is not used.
@@ -644,8 +646,8 @@ def parse_toml(text: str, path: Path | None = None) -> Json:
 
 
 def placed(value: object, folder: Path) -> Any:
-    """Return the name of a file with a folder put before it, if the folder has such a file; else the name as it is. Of
-    a list of names each is treated so.
+    """Return the name of a file with a folder put before it, if the folder has such a file; else the name as it is. A
+    list of names gives a list.
 
     value : a name or a list of names; anything else is returned as it is.
     folder : the folder.

@@ -138,6 +138,7 @@ class _Stored:
         """
         scene, shape, count = self.structure.scene, self.structure.whole.shape, int(domain.max()) + 1
         axes = scene.minimum_spin_axes
+        # staggered spins; those of the top plane, at each sphere; and the mean of each domain
         spins = scene.staggered_spin(self.structure.spin[None], axes).reshape(len(axes), *shape)
         above = np.broadcast_to(spins[..., -1:], spins.shape).reshape(len(axes), -1)
         found, first = np.unique(domain, return_index=True)

@@ -195,10 +195,15 @@ def _whole(packing: Packing, contact: np.ndarray) -> tuple[np.ndarray, float]:
     """
     normal = np.broadcast_to(packing.normal_force, packing.contacts)[contact]
     same = bool((normal == normal[:1]).all())
-    (part, power), (more, further) = (np.frexp(v) for v in (np.asarray(packing.friction)[contact], normal))
-    whole = np.ldexp(part, MANTISSA_BITS).astype(np.int64).astype(object)
+    # a double is a whole number of 53 bits times a power of two; a product of two doubles has up to 106 bits
+    (mantissa, power), (mantissa_of_normal, power_of_normal) = (
+        np.frexp(values) for values in (np.asarray(packing.friction)[contact], normal)
+    )
+    whole = np.ldexp(mantissa, MANTISSA_BITS).astype(np.int64).astype(object)
     if not same:
-        whole, power = whole * np.ldexp(more, MANTISSA_BITS).astype(np.int64), power + further
+        whole = whole * np.ldexp(mantissa_of_normal, MANTISSA_BITS).astype(np.int64)
+        power = power + power_of_normal
+    # in units of the least power of two; then without the zeros at the end that all have in common
     least = int(power[whole > 0].min(initial=2**16))  # which is above all exponents of doubles
     whole = whole << np.where(whole > 0, power - least, 0).astype(object)
     common = int(np.bitwise_or.reduce(whole, initial=0))
@@ -247,15 +252,15 @@ def _levels(cover: _Cover, largest: np.ndarray, rounds: list[_Round]) -> np.ndar
     least = np.concatenate([np.where(cover.mirror >= 0, cover.rest, 0), levels])
     most = np.concatenate([np.full(cover.free, max(0, len(levels) - 1)), levels])
     largest = np.append(largest, np.zeros(len(levels), dtype=bool))
-    while (open_ := least < most).any():
+    while (undecided := least < most).any():
         if count == len(rounds) or not np.array_equal(rounds[count][:2], (least, most)):
             rounds[count:] = [_halved(cover, least, most)]
         # with the smallest upper side, or for `largest` with the smallest lower side
         middle, upper, backwards = rounds[count][2:]
         if largest.any():
             upper = np.where(largest, ~reachable_from(len(least), *backwards), upper)
-        least = np.where(open_ & upper, middle, least)
-        most = np.where(open_ & ~upper, middle - 1, most)
+        least = np.where(undecided & upper, middle, least)
+        most = np.where(undecided & ~upper, middle - 1, most)
         count += 1
     return least
 
@@ -275,20 +280,22 @@ def _halved(cover: _Cover, least: np.ndarray, most: np.ndarray) -> _Round:
     5. arcs (from, to) and nodes to start at: what is reached from these is the smallest lower side of a minimum cut.
        They are the residual arcs of the flow, reversed, and the nodes whose arc to the sink is not filled.
     """
-    middle, (low, high), open_ = (least + most + 1) // 2, (cover.low, cover.high), least < most
-    together = (least[low] == least[high]) & (most[low] == most[high]) & open_[low]
+    middle, (low, high), undecided = (least + most + 1) // 2, (cover.low, cover.high), least < most
+    # the edges whose two nodes have the same range
+    together = (least[low] == least[high]) & (most[low] == most[high]) & undecided[low]
     # edges within a range are arcs; one to a node of a higher range is a source, of a lower range a sink
     source, sink = np.zeros((2, len(least)), dtype=object)
     for own, other in ((low, high), (high, low)):
         above = least[other] >= middle[own]  # ranges are the same or share no level; driven nodes have one
-        np.add.at(source, own, cover.weight * (above & ~together & open_[own]))
-        np.add.at(sink, own, cover.weight * (~above & ~together & open_[own]))
+        np.add.at(source, own, cover.weight * (above & ~together & undecided[own]))
+        np.add.at(sink, own, cover.weight * (~above & ~together & undecided[own]))
     ends, weight = np.stack([low[together], high[together]]), cover.weight[together]
     inner, into, out = exact_flow(ends, weight, source, sink)
-    left = np.concatenate([weight - inner, weight + inner]) > 0
-    row, column = np.concatenate([ends, ends[::-1]], axis=1)[:, left]
-    upper = reachable_from(len(least), row, column, np.flatnonzero(source > into))
-    return least, most, middle, upper, (column, row, np.flatnonzero(sink > out))
+    # arcs of the residual graph, along which more could flow
+    is_left = np.concatenate([weight - inner, weight + inner]) > 0
+    tail, head = np.concatenate([ends, ends[::-1]], axis=1)[:, is_left]
+    upper = reachable_from(len(least), tail, head, np.flatnonzero(source > into))
+    return least, most, middle, upper, (head, tail, np.flatnonzero(sink > out))
 
 
 def _filling(cover: _Cover, place: np.ndarray) -> np.ndarray:
@@ -302,19 +309,20 @@ def _filling(cover: _Cover, place: np.ndarray) -> np.ndarray:
     """
     # edges between different levels are saturated; a maximum flow within each level balances what they bring
     fall = np.sign(place[cover.low] - place[cover.high])
-    flow, flat = fall * cover.weight, fall == 0
-    need = np.zeros(len(place), dtype=object)  # what flows in
-    np.add.at(need, cover.low, -flow)
-    np.add.at(need, cover.high, flow)
-    low, high = cover.low[flat], cover.high[flat]
+    flow, is_flat = fall * cover.weight, fall == 0
+    surplus = np.zeros(len(place), dtype=object)  # what flows into each node, and has to flow out again
+    np.add.at(surplus, cover.low, -flow)
+    np.add.at(surplus, cover.high, flow)
+    low, high = cover.low[is_flat], cover.high[is_flat]
     within = high < cover.free
     part = pieces(cover.free, low[within], high[within])
-    ground = cover.free + part  # the driven spheres that touch a part, as a node of its own
-    need, own = np.append(need[: cover.free], np.zeros(part.max(initial=-1) + 1, dtype=object)), need[: cover.free]
-    np.subtract.at(need, ground, own)
+    ground = cover.free + part  # one more node for each part, in place of the driven spheres that touch it
+    of_free = surplus[: cover.free]
+    surplus = np.append(of_free, np.zeros(part.max(initial=-1) + 1, dtype=object))
+    np.subtract.at(surplus, ground, of_free)  # so that each part is balanced as a whole
     ends = np.stack([low, np.where(within, high, ground[low])])
-    source, sink = np.maximum(need, 0), np.maximum(-need, 0)
-    flow[flat], into, _ = exact_flow(ends, cover.weight[flat], source, sink)
+    source, sink = np.maximum(surplus, 0), np.maximum(-surplus, 0)
+    flow[is_flat], into, _ = exact_flow(ends, cover.weight[is_flat], source, sink)
     if (into != source).any():
         raise RuntimeError(
             "internal check failed: the maximum flow does not equal the minimum cut; please report it with the command"

@@ -261,9 +261,9 @@ class OnLists(Stepped):
         scene, bounds, axes = self.scene, self.bounds, self.spin_axes
         objective = scene.objective(staggered, axes)
         is_recent = bounds.looked < more["iteration"] < self.look_again * bounds.looked
-        whole, bounds.looked = not is_recent, bounds.looked if is_recent else more["iteration"]
+        bounds.looked = bounds.looked if is_recent else more["iteration"]
         with one_thread():
-            bound, proof = bounds.of(force if proof is None else proof, staggered, whole)
+            bound, proof = bounds.of(force if proof is None else proof, staggered, factorises=not is_recent)
         bound = min(bound, float(objective[0]))
         bounds.take(bound, staggered)
         return Progress(
@@ -320,7 +320,7 @@ class StepsReached(PackingReached):
         ended : how the run ended, with the last state and the best forces.
         """
         last, system, moves = ended.best, bounds.system, ended.options.is_dynamics
-        value, forces = bounds.of(last.force if last.proof is None else last.proof, last.staggered, whole=True)
+        value, forces = bounds.of(last.force if last.proof is None else last.proof, last.staggered, factorises=True)
         proof = forces if value > ended.bound[0] else ended.proof
         still, spins = np.zeros(system.unknowns), last.staggered[:, 0].T
         found = Found(still, proof[:, 0, bounds.of_system], ended.options.name, everywhere=spins)

@@ -50,7 +50,7 @@ class PackingBounds:
         judgement = judgement_of(system, [self.packing], [Found(spins, np.zeros_like(system.offset), "", rest=rest)])
         return np.zeros(1, dtype=bool) if judgement is None else judgement.can_all_rest
 
-    def of(self, force: np.ndarray, spins: np.ndarray, whole: bool) -> tuple[float, np.ndarray]:
+    def of(self, force: np.ndarray, spins: np.ndarray, factorises: bool) -> tuple[float, np.ndarray]:
         """Return a proven lower bound on the objective, 0 if none follows, and the forces (d, 1, E contacts) that prove
         it.
 
@@ -58,18 +58,19 @@ class PackingBounds:
 
         force : (d, 1, E), contact forces along d tangents.
         spins : (C components, 1, N spheres), u = radius * spin.
-        whole : True to try the forces also with their leftover torques balanced, which costs a factorisation.
+        factorises : True to try the forces also with their leftover torques balanced, which costs a factorisation.
         """
         system = self.system
         if not system.offset.any() or not np.isfinite(force).all() or not np.isfinite(spins).all():
             return 0.0, force
         own = force[:, 0, self.of_system]
         candidates = [own] if system.network.along_axes(system.numbers) else []
-        candidates += [self._balanced(own)] if whole else []
+        candidates += [self._balanced(own)] if factorises else []
         best, found = 0.0, own
         for candidate in candidates:
             value = self._proven_by(candidate, spins)
-            best, found = (value, candidate) if value > best else (best, found)
+            if value > best:
+                best, found = value, candidate
         proving = force.copy()
         proving[:, 0, self.of_system] = found
         return best, proving

@@ -278,7 +278,8 @@ def _ended(system: ContactSystem, path: Sample, strengths: Strengths, matrix: Ne
     # from the contacts of the path to all A, and from its units to those of the packing
     own = np.searchsorted(system.numbers, contacts.numbers)
     slips, opens, tie = (
-        None if kind is None else _everywhere(own, kind, len(strengths.friction)) for kind in (slipping, open_, ties)
+        None if kind is None else _on_all_contacts(own, kind, len(strengths.friction))
+        for kind in (slipping, open_, ties)
     )
     spins, rest, force = _in_units_of_packing(system, path, strengths, fastest, (spins, rest), dual)
     return Found(spins, force, "interior-point", slips, tie, path.steps, open=opens, rest=rest)
@@ -324,7 +325,7 @@ def along_tangents(system: ContactSystem, contacts: ContactSystem, forces: np.nd
     return found
 
 
-def _everywhere(own: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
+def _on_all_contacts(own: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
     """Return an array (A,) over all contacts of a packing with the values of the n contacts on its path. Contacts that
     no unknown spin makes slip are not on the path; they get False or 0.
 

@@ -218,19 +218,21 @@ def _states(system: ContactSystem, packing: Packing, found: Found, slip: np.ndar
     if held is None or not held.any():
         return np.where(slip > 1e-12 * fastest, SLIPPING, SLIPLESS)  # smaller slips are rounding
     limit = np.asarray(law.holding_force(packing.material))[0]
-    fast, full = slip > AT_REST * fastest, forces_of(system, found.force)[0] >= SATURATED * limit
-    state = np.where(fast & full, SLIPPING, np.where(fast | (full & (limit > 0)), UNDECIDED, SLIPLESS))
+    # by slip and force alone
+    is_fast, at_limit = slip > AT_REST * fastest, forces_of(system, found.force)[0] >= SATURATED * limit
+    state = np.where(is_fast & at_limit, SLIPPING, np.where(is_fast | (at_limit & (limit > 0)), UNDECIDED, SLIPLESS))
     if found.slips is None:
         return state
+    # as the method has settled them
     margin = 1 - np.linalg.norm(found.force, axis=0) / np.where(held > 0, held, 1.0)
     slips = found.slips & (slip[system.contact] > SURE_SLIP * float(np.abs(system.offset).max()))
-    own = np.where(~found.slips & (margin > SURE_MARGIN), SLIPLESS, np.where(slips, SLIPPING, UNDECIDED))
+    settled = np.where(~found.slips & (margin > SURE_MARGIN), SLIPLESS, np.where(slips, SLIPPING, UNDECIDED))
     if found.open is not None:
-        own[found.open] = UNDECIDED
+        settled[found.open] = UNDECIDED
     unproven = known[system.contact] == UNDECIDED
-    if not law.flows and (unproven & (own == SLIPPING)).any():
-        own[tied(system, found.force, own) if found.ties is None else found.ties] = UNDECIDED
-    state[system.contact] = own
+    if not law.flows and (unproven & (settled == SLIPPING)).any():
+        settled[tied(system, found.force, settled) if found.ties is None else found.ties] = UNDECIDED
+    state[system.contact] = settled
     return state
 
 
@@ -254,8 +256,8 @@ def tied(system: ContactSystem, force: np.ndarray, state: np.ndarray) -> np.ndar
     if d == 2 and system.sign is None and _is_only_one(system, along, state):
         return found
     across = np.stack([-along[1], along[0]]) if d == 2 else np.zeros((1, count))
-    slipping, resting = np.flatnonzero(state == 1), np.flatnonzero(state == 0)
-    rows = [system.operator[t * count + resting] for t in range(d)]
+    slipping, slipless = np.flatnonzero(state == SLIPPING), np.flatnonzero(state == SLIPLESS)
+    rows = [system.operator[t * count + slipless] for t in range(d)]
     if d == 2:
         parts = (sparse.diags_array(across[t, slipping]) @ system.operator[t * count + slipping] for t in range(d))
         rows.append(sum(parts))

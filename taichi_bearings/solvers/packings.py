@@ -1,4 +1,4 @@
-"""Minima of packings: the method for each, and the samples that are solved side by side."""
+"""Minima of packings: the method for each, and the samples whose minima are found together."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
@@ -14,14 +14,14 @@ from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.solvers.table import METHODS, InteriorPoint
 from taichi_bearings.words import shown
 
-MOST_SIDE_BY_SIDE = 16  # samples that are solved side by side
+MOST_IN_GROUP = 16  # samples whose minima are found together
 
 
 def solve_packing(packing: Bearing, tolerance: float = 1e-8, method: str = "auto") -> Solution:
     """Return the state of least dissipation of every sample of a packing.
 
-    Motions without slip are held at 0 where nothing drives them. Small samples are solved side by side; the bits of
-    each result do not depend on the other samples.
+    Motions without slip are held at 0 where nothing drives them. Small samples are solved together; the bits of each
+    result do not depend on the other samples.
 
     packing : a `taichi_bearings.Packing`.
     tolerance : proven relative gap at which the answer counts as certified.
@@ -36,21 +36,21 @@ def solve_packing(packing: Bearing, tolerance: float = 1e-8, method: str = "auto
     if not (isinstance(tolerance, (int, float)) and 0 < tolerance < 1):
         raise InputError(f"tolerance is {shown(tolerance)}; it must be above 0 and below 1")
     found = list[Solution]()
-    for begin, end in side_by_side(packing):
+    for begin, end in groups_of_samples(packing):
         solved = uninterrupted(least_power(some_of(packing, begin, end), method, StopRule(tolerance)))
         found += [solved.sample(number) for number in range(end - begin)]
     return Solution.joined(found, packing)
 
 
-def side_by_side(scene: Bearing) -> Iterator[tuple[int, int]]:
+def groups_of_samples(scene: Bearing) -> Iterator[tuple[int, int]]:
     """Yield pairs (first number, number after the last) of samples of a packing whose minima are found together.
 
     In these samples the same contacts take part. Only samples of small packings are taken together, at most
-    MOST_SIDE_BY_SIDE.
+    MOST_IN_GROUP.
 
     scene : the packing with its samples.
     """
-    most = MOST_SIDE_BY_SIDE if scene.network.spheres < InteriorPoint.alike_in_a_block else 1
+    most = MOST_IN_GROUP if scene.network.spheres < InteriorPoint.alike_in_a_block else 1
     acting = [scene.sample(number).acting.tobytes() for number in range(scene.replicas)]
     begin = 0
     for number in range(1, scene.replicas + 1):
@@ -93,8 +93,8 @@ def method_of(scene: Bearing, method: str, looks_for_motions: bool = True) -> st
     scene : the packing, of which the first sample is looked at.
     method : name of the method, or "auto" for the quickest one.
     looks_for_motions : True to look first for motions of spheres that make no contact slip, and to hold these at 0,
-        which takes a factorisation. False to take all spins as unknowns, which is quicker; then the interior point may
-        be named where exact cuts are possible after all.
+        which takes a factorisation. False to take all spins as unknowns, which is quicker; then "interior-point" may be
+        returned although exact cuts are possible.
 
     Exact cuts need a law with friction alone and contacts that each couple one spin component.
     """
