@@ -312,12 +312,15 @@ class Grid(Listed):
         return self.samples.leader(self.samples.components[k])
 
     def driven_alike(self, k: int, imposed: Enclosure, driven: np.ndarray) -> np.ndarray:
-        """Return for each of q driven spheres 0 if it is in the bottom plane, 1 if it is in the top plane: (q,).
+        """Return for each of q driven spheres a number (q,): 0 if it is in the bottom plane; in the top plane 1, or,
+        where its layers across component k are driven differently, 1 plus the number of the layer.
 
-        k, imposed : number of a spin component, and imposed spins; not used here.
+        k : position of the spin component among the C components.
+        imposed : imposed spins; not used here.
         driven : (q,), indices of the driven spheres."""
         top = np.zeros(self.spheres, dtype=np.intp)
-        self.on_spheres(top)[..., -1] = 1
+        layer = self.samples.layer(self.samples.components[k]).reshape(self.samples.lattice.shape)
+        self.on_spheres(top)[..., -1] = 1 + layer[..., -1]
         found: np.ndarray = top[driven]
         return found
 

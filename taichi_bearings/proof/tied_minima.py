@@ -108,7 +108,7 @@ class Constraints:
     own : (n,), indices of these contacts in the arrays of :class:`Pulls`.
     lower, upper : (n,), number of the welded domain at either end; 0 for what does not move.
     sign : (n,), +1 or -1: whether a motion of the upper end lengthens or shortens the slip.
-    same_slip : (n,), equal numbers for contacts that have the same slip at every minimum."""
+    same_slip : (n,), equal numbers for contacts that have the same slip at the minimum from which groups shift."""
 
     own: np.ndarray
     lower: np.ndarray

@@ -181,6 +181,26 @@ def test_friction_at_its_limit_by_hand():
         assert slip_y[0, 0, 1] == pytest.approx(slip, rel=1e-9, abs=1e-12)
 
 
+def test_layers_of_the_top_that_are_driven_differently_tie_by_slips_of_their_own():
+    """Two spheres, each between one that turns with the bottom and one that turns with the top, which their contacts
+    pull with equal friction. Where both rest on the latter, they slip past the former by what their layer of the top
+    is driven with, which differs. All four contacts are tied."""
+    x, y, z = np.ones((1, 3, 3)), np.zeros((2, 2, 3)), np.zeros((2, 3, 2))
+    y[:, :, 1] = 1.0
+    z[:, 0], z[:, 2] = (64.0, 0.25), (0.25, 64.0)
+    given = {"normal_force": 1.0, "top": (1.0, 1.0, 0.0, 0.5), "bottom": (0.0, 0.0, 0.0, 0.0)}
+    scene = tb.Scene((x[None], y[None], z[None]), **given)
+    solution = solve(scene, METHODS["interior-point"]().build(), initial_spin(scene, "linear"), StopRule(1e-8))
+    samples = samples_of(solution)
+    spin, rounding = samples.spin.copy(), samples.spin_rounding.copy()
+    for part in (spin, rounding):
+        part[0, :, 1, 1, 0] = -part[0, :, 2, 1, 0]
+    for judged in (samples, replace(samples, spin=spin, spin_rounding=rounding)):
+        (states,) = judged.judgement.states
+        assert (scene.lattice.by_axis(states.known)[1][:, :, 1] == TIED).all()
+        assert states.unique is False
+
+
 def test_shortest_paths_say_what_linear_programmes_do():
     """How far contacts can slip where clusters move, of numbers that no rounding can change."""
     rng, seen = np.random.default_rng(4), []
