@@ -79,7 +79,7 @@ def describe(report: dict[str, Any], times: str = "") -> str:
         inside = (
             "within its limits" if report["inside_discs"] else "beyond its limits, for which the lower bound is lowered"
         )
-        damped = "friction and damping" if law.holds else "damping"
+        damped = "friction and damping" if law.has_friction else "damping"
         lines.append(f"  friction: {balanced}, {inside}" if law.is_rate_independent else f"  {damped}: {balanced}")
     lines += [f"contradiction: {sentence}" for sentence in report["contradictions"]]
     lines = [printable(line) for line in lines]  # a line each, whatever the names and words in the file

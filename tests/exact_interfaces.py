@@ -114,7 +114,7 @@ def power_of_sides(scene, top, bottom, above):
             x = 2 * scene.radius * np.array(low if site is high and site[axis] < low[axis] else site)
             spins.append((-1) ** sum(site) * (state[:3] + state[3] * x) * [1, 1, 0])
         slip = scene.radius * np.linalg.norm(np.cross(spins[0] + spins[1], np.eye(3)[axis]))
-        total += values[axis][place] * scene.strength * (slip if scene.law.holds else slip**2)
+        total += values[axis][place] * scene.strength * (slip if scene.law.has_friction else slip**2)
     return total
 
 

@@ -15,8 +15,8 @@ from taichi_bearings.scene.law import LAWS, law_named
 
 KNOWN_LAWS = tuple(name for name, law in LAWS.items() if law.is_sum)
 """Laws that every method and the proofs know; tests that loop over them take in a new one of friction and viscosity."""
-FRICTION_LAWS = tuple(name for name in KNOWN_LAWS if LAWS[name].holds)
-VISCOUS_LAWS = tuple(name for name in KNOWN_LAWS if LAWS[name].flows)
+FRICTION_LAWS = tuple(name for name in KNOWN_LAWS if LAWS[name].has_friction)
+VISCOUS_LAWS = tuple(name for name in KNOWN_LAWS if LAWS[name].has_viscosity)
 SIMPLE_LAWS = tuple(name for name in KNOWN_LAWS if len(LAWS[name].quantities) == 1)
 """Laws with a single coefficient."""
 BIPARTITE = tuple(kind for kind, cell in LATTICES.items() if cell.parity is not None)

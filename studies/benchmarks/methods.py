@@ -76,7 +76,7 @@ def measure(settings: RunSettings, names: Sequence[str], with_peers: bool, round
             yield f"{label}: {name} is left out: {reason}"
         else:
             calls[name] = partial(_by_method, scene, name, options, seconds)
-    if with_peers and sites <= MOST_OF_PEERS and scene.law.flows != scene.law.holds:
+    if with_peers and sites <= MOST_OF_PEERS and scene.law.has_viscosity != scene.law.has_friction:
         programme = conic_programme(scene)
         for peer in find_peers()[0]:
             calls[str(peer)] = partial(_by_peer, peer, programme, seconds, settings.threads)

@@ -91,7 +91,7 @@ class ConicProgramme:
             slip component, then three rows of a cone for each other contact; without friction one row for each slip.
         """
         scene, pairs = self.scene, self.inequalities // 2
-        if not scene.law.holds:
+        if not scene.law.has_friction:
             found = scene.lattice.radius * scene.jump / 2 * z
         else:
             cones = z[2 * pairs :].reshape(-1, 3)
@@ -122,7 +122,7 @@ def conic_programme(scene: Scene) -> ConicProgramme:
             f"the scene has {scene.replicas} samples; the conic programme for other solvers describes one, so give one "
             "of them, such as scene.sample(0)"
         )
-    if scene.law.holds and scene.law.flows:
+    if scene.law.has_friction and scene.law.has_viscosity:
         raise InputError(
             f"law is {scene.law}; the conic programme for other solvers has friction or viscosity, not both"
         )
@@ -136,7 +136,7 @@ def conic_programme(scene: Scene) -> ConicProgramme:
     matrix, offset = system.operator[slips], system.offset.ravel()[slips] / (scene.lattice.radius * (scene.jump or 1.0))
     coefficient = np.where(can_change.any(axis=0), scene.coefficient[0, system.contact], 0.0)
     unknowns, nothing = system.unknowns, np.zeros(system.unknowns)
-    if not scene.law.holds:
+    if not scene.law.has_friction:
         rows = len(slips)
         return ConicProgramme(
             scene,

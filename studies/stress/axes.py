@@ -255,13 +255,13 @@ def _in_units(force: int = 0, length: int = 0, time: int = 0) -> Callable[..., C
         changes: dict[str, Any] = {name: getattr(scene, name) * factor} if name in Scene.PARAMETERS else {}
         # coefficients of friction have no unit; those of a viscous law have that of a damper
         friction = factor if name == "coefficients" else 1.0
-        first = friction if scene.law.holds else flow
+        first = friction if scene.law.has_friction else flow
         changes["coefficients"] = tuple(values * first for values in scene.coefficients)
         changes["viscosity"] = tuple(values * flow for values in scene.viscosity)
         scales = {"stiffness": factor ** (force - length), "damping": flow}
         scales["mass"] = factor ** (force + 2 * time - length)
         options = {key: owned[key].default * scale for key, scale in scales.items() if key in owned
-                   and (key == "mass" or scene.law.holds)}  # fmt: skip
+                   and (key == "mass" or scene.law.has_friction)}  # fmt: skip
         power = factor ** (force + length - time)
         return replace(case, scene=replace(scene, **changes), options=options, unit=power, scaled=scene)
 
@@ -378,7 +378,7 @@ def _has_spheres(row: Row) -> bool:
 
 def _has_friction(row: Row) -> bool:
     """Return True if the law of the row has static friction: a contact can bear a force without slip."""
-    return LAWS[row.law].holds
+    return LAWS[row.law].has_friction
 
 
 def _stable_step(case: Case) -> float:

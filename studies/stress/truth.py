@@ -63,7 +63,7 @@ def _costs(scene: Scene, wanted: slice = slice(None)) -> tuple[np.ndarray, np.nd
     """
     speed = Decimal(scene.radius) * unit_of(scene)
     values, *second = (_decimals(of[0, wanted]) for of in scene.named_coefficients.values())
-    if not scene.law.holds:
+    if not scene.law.has_friction:
         return 0 * values, values * 2 * speed**2  # the power is twice the potential
     return values * Decimal(scene.normal_force) * speed, second[0] * speed**2 if second else 0 * values
 
@@ -304,7 +304,7 @@ def _states(scene: Scene, sample: Sample, barrier: Decimal) -> tuple[np.ndarray,
     A contact slips if its slip is clearly above 0 and its friction is at the limit; it is slipless if its slip is 0 and
     its friction is clearly below. Any other is UNCLEAR.
     """
-    if not scene.law.holds:
+    if not scene.law.has_friction:
         return ()
     state = np.full(scene.lattice.all_contacts, UNCLEAR, dtype=np.uint8)
     _, length, _, stiffness = sample.forces(barrier)

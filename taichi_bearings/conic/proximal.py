@@ -232,7 +232,7 @@ class ProximalSteps:
         self._coefficient = acting / mean[:, None]
         flow = scene.slip_radius * unit
         # (R,), force that is counted as one; then for each sample (n,), viscosities in its units, or None
-        self._force_unit = scene.strength * (1.0 if scene.law.holds else flow) * mean
+        self._force_unit = scene.strength * (1.0 if scene.law.has_friction else flow) * mean
         viscosities = scene.viscosity_beside_friction
         self._viscosity: list[np.ndarray | None] = [
             None if viscosities is None else flow / own * viscosities[replica, self._system.contact]
@@ -254,13 +254,13 @@ class ProximalSteps:
         slipping, creep, newton_steps, solved = np.zeros(scene.replicas, dtype=int), 0.0, 0, True
         for replica, before in enumerate(self.unknowns.read(staggered / self.unit)):
             coefficient, inertia = self._coefficient[replica], Inertia(self._slowness[replica] / duration, before)
-            if scene.law.holds:
+            if scene.law.has_friction:
                 point, steps, ended = self._step_with_friction(coefficient, self._viscosity[replica], inertia)
             else:  # damping alone
                 spins = flowing(self._system, coefficient, self._matrix, before, inertia)
                 point, steps, ended = Iterate.start(self._system, spins, coefficient, 0.0, coefficient), 1, True
             slip = length(point.difference)
-            slips = slip > (point.margin if scene.law.holds else 0.0)
+            slips = slip > (point.margin if scene.law.has_friction else 0.0)
             self.unknowns.write(after, replica, self.unit * point.spins)
             self._system.scatter_vectors(-point.whole_dual * self._force_unit[replica], force, replica)
             slipping[replica] = int(slips.sum())

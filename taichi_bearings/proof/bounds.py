@@ -147,7 +147,7 @@ class Bounds:
         if (worst > 1).any():
             size = size / Enclosure.exact(network.on_contacts(worst))
         beyond = size.at(soft)
-        if network.law.holds:  # no less than what is beyond the friction
+        if network.law.has_friction:  # no less than what is beyond the friction
             beyond = Enclosure.exact(np.maximum((beyond - network.holding.at(soft)).upper(), 0.0))
         cost = network.by_sample((beyond * beyond / network.slope.at(soft)).signed(0.5), soft)
         least = work / Enclosure.exact(worst) - cost

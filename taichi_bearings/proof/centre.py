@@ -150,7 +150,7 @@ class Centre:
         for part in self.slips:
             slip = part.at(self.slipping)
             found.append(
-                self.damping * slip if self.network.law.flows else Enclosure.exact(np.zeros(len(self.slipping)))
+                self.damping * slip if self.network.law.has_viscosity else Enclosure.exact(np.zeros(len(self.slipping)))
             )
             found[-1].put(some, found[-1].at(some) + self.strength.at(some) * (slip.at(some) / self.size.at(some)))
         return found
@@ -523,7 +523,7 @@ class Centre:
         to_v : (S,), a speed: the slips in V may differ from the stored ones by up to this.
         """
         some, angle, size_error = self.with_friction, np.zeros(len(self.slipping)), self._distance_from_law.copy()
-        size_by_law = self.strength + self.damping * self.size if self.network.law.flows else self.strength
+        size_by_law = self.strength + self.damping * self.size if self.network.law.has_viscosity else self.strength
         angle[some] = (2 * (self._distance_from_law / size_by_law.least + to_v / self.size.least) * UP)[some]
         size_error[some] = (length([part.at(self.slipping) for part in self.friction]) - size_by_law).most[some]
         return angle, size_error, size_by_law.most

@@ -84,7 +84,7 @@ def _candidates(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> Iter
             yield from _shortened(scene, force, one_by_one=True)
             yield from _shortened(scene, balanced, one_by_one=False)
             yield from _shortened(scene, balanced, one_by_one=True)
-    if scene.law.is_sum and scene.law.holds:
+    if scene.law.is_sum and scene.law.has_friction:
         yield capped(force, saturation(scene, force))
         balanced = balance(scene, force, spin_axes) if balanced is None else balanced
         yield scaled(scene, balanced)

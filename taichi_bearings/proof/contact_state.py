@@ -85,7 +85,7 @@ def classify(scene: Bearing, slip: np.ndarray, force: np.ndarray, threshold: flo
     threshold : slip speed, length/time, up to which a contact counts as slipless.
     """
     fast = slip > threshold
-    full = saturation(scene, force) > SATURATED if scene.law.holds else fast
+    full = saturation(scene, force) > SATURATED if scene.law.has_friction else fast
     state = np.where(fast & full, ContactState.SLIPPING, ContactState.SLIPLESS)
     state = np.where(fast != full, ContactState.UNDECIDED, state)
     return np.where(scene.idle, ContactState.DRIVEN, state).astype(np.uint8)

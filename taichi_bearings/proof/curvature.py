@@ -132,7 +132,7 @@ class Slipping:
                     continue
                 lower[slot, mine], upper[slot, mine] = number[k][ends[:, mine]]
                 difference[slot].put(mine, motion.difference(k, some[mine]))
-        strength, damping = network.holding.at(some), network.slope.at(some) if network.law.flows else None
+        strength, damping = network.holding.at(some), network.slope.at(some) if network.law.has_viscosity else None
         place = network.graph.middle(some).T
         curved, pair = np.flatnonzero((felt >= 0).all(axis=0)), (difference[0], difference[1])
         return cls(unknowns, felt, lower, upper, curved, pair, strength, damping, some, place)

@@ -57,8 +57,8 @@ def _on_lattice(samples: OnLattice) -> JudgedNetwork:
     viscosity = scene.named_coefficients.get("viscosity", coefficient).ravel()
     return JudgedNetwork(
         law, samples.count, free, radius * samples.spin_unit, np.full(samples.count, force),
-        list(samples.signed_spin.values()), grid.moment(acts), holding if law.holds else zero,
-        Enclosure.exact(viscosity).times(np.array([speed])) if law.flows else zero,
+        list(samples.signed_spin.values()), grid.moment(acts), holding if law.has_friction else zero,
+        Enclosure.exact(viscosity).times(np.array([speed])) if law.has_viscosity else zero,
         [grid.imposed(k) for k in samples.components], grid, factors=(coefficient,),
     )  # fmt: skip
 
@@ -81,13 +81,13 @@ def _in_lists(packing: Bearing, spin: np.ndarray, rounding: np.ndarray, friction
     unit, radius = (float(radius[0]), np.ones(len(radius))) if (radius == radius[0]).all() else (1.0, radius)
     fastest = float(np.abs(imposed * radius[:, None])[~free].max(initial=0.0)) or 1.0
     given, *beside = packing.named_coefficients.values()
-    pressed = np.broadcast_to(packing.normal_force if law.holds else 1.0, given.shape)
+    pressed = np.broadcast_to(packing.normal_force if law.has_friction else 1.0, given.shape)
     # Friction limits (`first`) and damping (`slope`) in doubles, to choose units by them.
     first, slope = given * pressed, np.zeros(given.shape)
-    if law.flows:
-        slope = beside[0] if law.holds else given
+    if law.has_viscosity:
+        slope = beside[0] if law.has_friction else given
     largest = slope.max(axis=1, initial=0.0) * unit * fastest
-    largest = np.maximum(first.max(axis=1, initial=0.0) if law.holds else 0.0, largest)
+    largest = np.maximum(first.max(axis=1, initial=0.0) if law.has_friction else 0.0, largest)
     # Scale speeds and forces by powers of two, by which nothing is rounded; forces of each sample by its own.
     if not all(LEAST_SPEED < fast < MOST_SCALE for fast in (fastest, fastest * unit)):
         return None
@@ -116,8 +116,9 @@ def _in_lists(packing: Bearing, spin: np.ndarray, rounding: np.ndarray, friction
     moment = moments([Enclosure.exact(np.where(acts.ravel(), part, 0.0)) for part in graph.friction.T], graph.normal)
     return JudgedNetwork(
         law, count, every, speed * unit, force, moving, moment,
-        Enclosure.exact((given / force[:, None]).ravel()).times(pressed) if law.holds else zero,
-        Enclosure.exact((slope * (speed / force)[:, None]).ravel()).times(np.array([unit])) if law.flows else zero,
+        Enclosure.exact((given / force[:, None]).ravel()).times(pressed) if law.has_friction else zero,
+        zero if not law.has_viscosity else
+        Enclosure.exact((slope * (speed / force)[:, None]).ravel()).times(np.array([unit])),
         [part.where(~every) for part in moving],
         graph, factors=(given.ravel(), np.broadcast_to(packing.normal_force, given.shape).ravel()),
     )  # fmt: skip

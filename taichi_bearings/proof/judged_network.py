@@ -406,9 +406,9 @@ class JudgedNetwork:
         F_n slip, and of eta slip^2. Both are enclosures (R,) in units of the network."""
         slips, slip = mask & ((self.slip.high != 0) | (self.slip.error != 0)), self.slip
         held, flowing = nothing(self.count), nothing(self.count)
-        if self.law.holds:
+        if self.law.has_friction:
             held = row_sum(_product_in(self.holding, slip, slips).reshaped((self.count, -1)))
-        if self.law.flows:
+        if self.law.has_viscosity:
             flowing = row_sum((self.slope * slip * slip).where(slips).reshaped((self.count, -1)))
         return held, flowing
 

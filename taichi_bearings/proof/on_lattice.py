@@ -113,7 +113,7 @@ class OnLattice:
         """The unit of force in the proof: a power of two near the largest friction limit; for damping alone near the
         force of damping at a slip by `spin_unit`."""
         scene = self.scene
-        strength = scene.normal_force if scene.law.holds else power_of_two(scene.lattice.radius * self.spin_unit)
+        strength = scene.normal_force if scene.law.has_friction else power_of_two(scene.lattice.radius * self.spin_unit)
         return power_of_two(float(scene.coefficient.max()) * strength)
 
     @cached_property

@@ -110,11 +110,11 @@ def proven_states(bounds: Bounds) -> list[States]:
     elif (bounds.proof != PROVEN).any():
         found = _all_undecided(network, "the lower bound is not proven for all spins")
     # With damping; then friction alone: with normals in any direction, where nothing has to slip, and all others.
-    elif network.law.flows:
+    elif network.law.has_viscosity:
         far = np.sqrt(2 * network.on_contacts(bounds.excess) / network.slope.least) * UP
         known = _slipping_beyond(network, far)
         found = _samples(network, known, "slips are small, or nothing is known of what bears no viscosity", True)
-        near = _enclosed_minimum(bounds) if network.mixes and network.law.holds else None
+        near = _enclosed_minimum(bounds) if network.mixes and network.law.has_friction else None
         found = _with_damping(bounds, found) if near is None else _enclosed(network, near)
         found = _with_parts_at_rest(bounds, far, found) if network.graph.rests_in_parts else found
     elif network.mixes and (near := _enclosed_minimum(bounds)) is not None:
@@ -168,7 +168,7 @@ def _can_be_enclosed_together(bounds: Bounds) -> bool:
 
     bounds : bounds on the power of the samples, with their friction."""
     held = bounds.network.holding.high[bounds.network.counts] > 0
-    return bool((bounds.proof == PROVEN).all() and bounds.network.law.holds and held.all())
+    return bool((bounds.proof == PROVEN).all() and bounds.network.law.has_friction and held.all())
 
 
 def _beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
@@ -331,7 +331,7 @@ def _with_damping(bounds: Bounds, known: list[States]) -> list[States]:
     known : states of each sample, which are returned where nothing better is proven.
     """
     network, count = bounds.network, bounds.network.count
-    if not network.law.holds or network.mixes or not network.needed:
+    if not network.law.has_friction or network.mixes or not network.needed:
         return known
     room, slip = 1 - bounds.size.value / network.holding.value, network.slip.value / network.box.max()
     rests = network.counts & (room > slip)
@@ -354,7 +354,7 @@ def _with_parts_at_rest(bounds: Bounds, far: np.ndarray, before: list[States]) -
     before : the states that are proven before, a list of R objects.
     """
     network, known = bounds.network, np.concatenate([states.known for states in before])
-    if not network.law.holds or not (network.counts & (known == UNDECIDED)).any():
+    if not network.law.has_friction or not (network.counts & (known == UNDECIDED)).any():
         return before
     rests = _beside_loops(bounds, far) if network.mixes else at_rest(bounds, far)
     known = np.where(rests, SLIPLESS, known).reshape(network.count, -1)

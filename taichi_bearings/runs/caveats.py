@@ -241,7 +241,7 @@ def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
         undecided = solution.state == ContactState.UNDECIDED
         fast = undecided & (solution.slip > solution.slip_threshold)
         # contacts without friction have no limit, so slip alone says what they do
-        holds = scene.law.holds
+        holds = scene.law.has_friction
         bears_all = solution.force >= full * scene.coefficient if holds else fast
         held = int((fast & ~bears_all).sum())
         passing = int((fast & bears_all & ~(unresolved(solution) & holds)).sum())
@@ -265,7 +265,7 @@ def _hardly_apart(solution: Solution, settings: RunSettings) -> Iterator[str]:
     settings : settings of the run, with the tolerance.
     """
     near = (solution.gap <= settings.tolerance) & ~solution.states_proven
-    if not solution.scene.law.holds or not near.any():
+    if not solution.scene.law.has_friction or not near.any():
         return
     doubtful = near[:, None] & (solution.state == ContactState.SLIPPING) & ~solution.proven
     faint = int((doubtful & unresolved(solution, DECADE)).sum())

@@ -33,7 +33,7 @@ def moves_freely(scene: Bearing) -> bool:
     law, coefficients = scene.law, scene.material
     slopes = law.steepest(coefficients, scene.slip_radius * scene.jump)
     at_rest = law.force(coefficients, np.zeros_like(coefficients[0]))
-    return bool(not law.holds and np.isfinite(slopes).all() and (at_rest == 0).all())
+    return bool(not law.has_friction and np.isfinite(slopes).all() and (at_rest == 0).all())
 
 
 @dataclass(frozen=True)

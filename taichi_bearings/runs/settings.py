@@ -230,7 +230,7 @@ class RunSettings:
         "bottom or the top), or a file with an array `spin`.",
     )
     normal_force: float = option(
-        50.0, POSITIVE, "Normal force at every contact.", unit="force", laws=attrgetter("holds")
+        50.0, POSITIVE, "Normal force at every contact.", unit="force", laws=attrgetter("has_friction")
     )
     radius: float = option(0.5, POSITIVE, "Radius of the spheres.", unit="length", rare=True)
     iterations: int | None = how(

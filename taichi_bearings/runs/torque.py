@@ -63,7 +63,7 @@ def refuse_driven(settings: RunSettings, method: type[MethodOptions]) -> None:
 
 def _may_turn_both(law: Law) -> bool:
     """Return True if the bottom may turn beside a torque on the top: for friction, with viscosity or without."""
-    return law.is_sum and law.holds
+    return law.is_sum and law.has_friction
 
 
 def _with_driven_contacts(found: Solution) -> Solution:
@@ -87,7 +87,7 @@ def _by_friction(solution: Solution, solve: Solve) -> Solution:
     solve : function that solves another scene in the same way.
     """
     scene = solution.scene
-    return solve(scene.with_friction_alone()) if scene.law.holds and scene.law.flows else solution
+    return solve(scene.with_friction_alone()) if scene.law.has_friction and scene.law.has_viscosity else solution
 
 
 def under_torque(solution: Solution, torque: float, tolerance: float, solve: Solve) -> Solution:
@@ -145,15 +145,15 @@ def _torque_findings(solution: Solution, torque: float, tolerance: float, solve:
     friction = _by_friction(solution, solve)
     # Friction alone decides whether the top yields: bounds on its least power are the bounds on the torque.
     low, high = np.zeros(scene.replicas), np.zeros(scene.replicas)
-    if scene.law.holds:
+    if scene.law.has_friction:
         low, high = friction.bound_of_all_spins, friction.power * SURELY
     yields, held = np.abs(torque) > high, np.abs(torque) <= low
     # The torque is held (0), or the factor is still unknown (NaN).
     amplitude = np.where(held, 0.0, np.nan)
     # Viscosity alone: the torque grows in proportion to the motion.
-    limited = yields & (solution.power > 0) & (solution.gap <= tolerance) & scene.law.flows
+    limited = yields & (solution.power > 0) & (solution.gap <= tolerance) & scene.law.has_viscosity
     amplitude[limited] = np.abs(torque) / solution.power[limited]
-    if scene.law.holds:
+    if scene.law.has_friction:
         # Friction and viscosity: solve for the factor, if the torque is clear of both bounds.
         resolved = np.abs(torque) - high >= RESOLVED * (high - low)
         amplitude[limited & ~resolved] = np.nan

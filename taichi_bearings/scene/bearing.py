@@ -202,7 +202,7 @@ class Bearing(ABC):
     @property
     def natural_energy(self) -> float | None:
         """Normal force times radius, the unit of energies and torques; None without friction or `natural_spin`."""
-        return self.strength * self.slip_radius if self.law.holds and self.natural_spin is not None else None
+        return self.strength * self.slip_radius if self.law.has_friction and self.natural_spin is not None else None
 
     @property
     def slip_radius(self) -> float:
@@ -466,7 +466,7 @@ class Bearing(ABC):
     def viscosity_beside_friction(self) -> np.ndarray | None:
         """(samples R, contacts E) viscous force over slip of every contact, force * time/length, for laws that have
         friction as well; None for other laws."""
-        return self.viscosities if self.law.holds else None
+        return self.viscosities if self.law.has_friction else None
 
     def steepest(self, fastest: float) -> np.ndarray | None:
         """Return the largest slope (samples R, contacts E) of the force of each contact over its slip, force *

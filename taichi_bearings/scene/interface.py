@@ -302,7 +302,7 @@ def cut_unit(scene: Scene) -> float:
     w)^2 without.
     """
     speed = scene.lattice.radius * _cut_speed(scene)
-    return scene.strength * (speed if scene.law.holds else speed**2)
+    return scene.strength * (speed if scene.law.has_friction else speed**2)
 
 
 def spins_of_two_domains(bearing: Bearing) -> np.ndarray | None:

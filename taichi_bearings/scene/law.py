@@ -75,19 +75,19 @@ class Law:
         return all(getattr(type(self), name) is getattr(Law, name) for name in OVERRIDDEN)
 
     @property
-    def holds(self) -> bool:
-        """True if a contact can bear a force without slipping."""
+    def has_friction(self) -> bool:
+        """True if a coefficient is friction, so that a contact can bear a force without slipping."""
         return any(quantity.is_friction for quantity in self.quantities)
 
     @property
-    def flows(self) -> bool:
+    def has_viscosity(self) -> bool:
         """True if not all coefficients are friction. The force then grows with the slip, so that slips are unique."""
         return not all(quantity.is_friction for quantity in self.quantities)
 
     @property
     def is_rate_independent(self) -> bool:
         """True for Coulomb friction alone, whose force does not depend on the slip; False for laws of one's own."""
-        return self.is_sum and self.holds and not self.flows
+        return self.is_sum and self.has_friction and not self.has_viscosity
 
     def holding_force(self, coefficients: Coefficients) -> np.ndarray | None:
         """Return the largest force (..., E) that each of E contacts bears without slipping; None for a law without
@@ -95,7 +95,7 @@ class Law:
 
         coefficients : in the order of `quantities`, a tuple of arrays (..., E) over E contacts; friction as a force.
         """
-        return coefficients[0] if self.holds else None
+        return coefficients[0] if self.has_friction else None
 
     def viscosity(self, coefficients: Coefficients) -> np.ndarray | None:
         """Return the viscous force over the slip, (..., E), force * time/length, of each contact; None for a law
@@ -103,7 +103,7 @@ class Law:
 
         coefficients : in the order of `quantities`, a tuple of arrays (..., E) over E contacts; friction as a force.
         """
-        return coefficients[-1] if self.flows else None
+        return coefficients[-1] if self.has_viscosity else None
 
     def resistance(self, coefficients: Coefficients, slip: np.ndarray) -> np.ndarray | None:
         """Return (force - holding force) / slip, (..., E), force * time/length; None for friction alone.
@@ -132,7 +132,7 @@ class Law:
         `force` has to override this as well, if gradient descent is to solve it: the derivative limits its steps.
         """
         found = self.viscosity(coefficients)
-        if self.is_sum and found is not None and not self.holds:
+        if self.is_sum and found is not None and not self.has_friction:
             return found
         return np.full_like(coefficients[0], np.inf)
 

@@ -118,7 +118,7 @@ def answered(reached: Reached, ended: Ended, while_wanted: Callable[[], Abstract
     is_dynamics, threshold = ended.options.is_dynamics, ended.slip_threshold
     status = ended_as(ended.status, answer, ended.stop, is_dynamics)
     # a motion without viscosity has states of its own, whatever those of the minima are
-    moves = is_dynamics and not reached.scene.law.flows
+    moves = is_dynamics and not reached.scene.law.has_viscosity
     has_ended = moves and threshold is None and status is Status.CERTIFIED
 
     def with_states(known: np.ndarray | None) -> Solution:

@@ -72,7 +72,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
         self.contacts.allocate(self.needed(), None if beside is None else scene.slip_radius * beside)
         # the largest stable step, from the fastest modes of the network
         slopes = scene.steepest(self._largest_slip(scene.staggered_spin(spin, self.spin_axes)))
-        bound = largest_step(options, scene.law.holds, *self.contacts.fastest_modes(self.inertia, slopes))
+        bound = largest_step(options, scene.law.has_friction, *self.contacts.fastest_modes(self.inertia, slopes))
         self.common_inertia = self.contacts.common_inertia(self.inertia)
         self.stability_bound = bound if np.isfinite(bound) else 1.0  # without contacts any step is stable
         if (options.time_step or 0.0) > self.stability_bound:
@@ -109,11 +109,16 @@ class CundallStrackMethod(Swept, SpringDynamics):
           number.
         * On contacts: `force`; `elongation` of the spring, with friction; `work`, with an energy balance.
         """
-        energy, holds, order = self.options.energy, self.scene.law.holds, self.options.gear_order
+        energy, has_friction, order = self.options.energy, self.scene.law.has_friction, self.options.gear_order
         predicted = ["predicted"] * self.contacts.stores_predicted  # a name times False is an empty list
-        moved = [*(f"gear_{n}" for n in range(order + 1)), *predicted, *["integral"] * holds, *["impulse"] * energy]
+        moved = [
+            *(f"gear_{n}" for n in range(order + 1)),
+            *predicted,
+            *["integral"] * has_friction,
+            *["impulse"] * energy,
+        ]
         spheres = dict.fromkeys(moved, len(self.spin_axes)) | {"is_free": 1}
-        return self.contacts.field_spec(spheres, ["force", *["elongation"] * holds, *["work"] * energy])
+        return self.contacts.field_spec(spheres, ["force", *["elongation"] * has_friction, *["work"] * energy])
 
     def _load_gear(self, staggered: np.ndarray) -> None:
         """Load the spins at the start and their scaled derivatives, which follow from the equation of motion.
@@ -137,7 +142,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
         for n, values in enumerate(derivatives):
             self.fields.load(f"gear_{n}", values)
         self._load_predicted(derivatives)
-        if scene.law.holds:
+        if scene.law.has_friction:
             self.fields.load("integral", _mean_over_step(derivatives))
         if options.energy:
             self.contacts.load_force(forces[0])
@@ -169,7 +174,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
         scene, options, order = self.scene, self.options, len(derivatives) - 1
         if not scene.law.is_sum:
             return self._derivative_of_own_law(derivatives)
-        if order == 0 or not scene.law.holds:
+        if order == 0 or not scene.law.has_friction:
             return self.damping_force(derivatives[-1])
         stretch = options.stiffness * self.time_step / order
         rate = options.damping * derivatives[-1] + stretch * derivatives[-2]
@@ -256,7 +261,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
             radius * span,  # turns a spin difference into the distance slipped in the step
             options.stiffness,  # of a spring
             # radius times damping of a contact; the radius alone for laws without friction
-            radius * (options.damping if scene.law.holds else 1.0),
+            radius * (options.damping if scene.law.has_friction else 1.0),
             scene.strength,  # by which a coefficient is multiplied to give the limit of kinetic friction
             scene.strength * options.static_ratio,  # the same for static friction
             *options.after_slip(span),  # two numbers that give the elongation of a slipping spring from its force
@@ -310,7 +315,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
         for n, values in enumerate(new):
             self.fields.load(f"gear_{n}", values)
         self._load_predicted(new)
-        if self.scene.law.holds:
+        if self.scene.law.has_friction:
             corrected = self.fields.read("integral") - _mean_over_step(old)
             self.fields.load("integral", _mean_over_step(new) + corrected / share)
 
@@ -326,7 +331,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
         and the elongations of the springs (C, R, E), length."""
         staggered = self.spins()
         force = self.contacts.read_forces("force") if self.iteration else self.damping_force(staggered)
-        stretch = self.contacts.read_forces("elongation") if self.scene.law.holds else np.zeros_like(force)
+        stretch = self.contacts.read_forces("elongation") if self.scene.law.has_friction else np.zeros_like(force)
         return staggered, force, stretch
 
     def findings(self, last: Progress) -> dict[str, np.ndarray]:
@@ -435,17 +440,17 @@ def stability_bound(scene: Scene, spin_axes: tuple[int, ...], options: CundallSt
     """
     slopes = scene.steepest(scene.slip_radius * float(np.linalg.norm(np.ptp(scene.box(spin_axes), axis=0))))
     inertia = inertia_of(scene, options)
-    return largest_step(options, scene.law.holds, *fastest_modes(scene, spin_axes, inertia, slopes))
+    return largest_step(options, scene.law.has_friction, *fastest_modes(scene, spin_axes, inertia, slopes))
 
 
-def largest_step(options: CundallStrack, holds: bool, decay: float, stiffest: float) -> float:
+def largest_step(options: CundallStrack, has_friction: bool, decay: float, stiffest: float) -> float:
     """Return the largest stable time step of the stiffest mode of the network.
 
     options : stiffness, damping and order of Gear's method.
-    holds : True if the law has friction, and so springs and dampers.
+    has_friction : True if the law has friction, and so springs and dampers.
     decay : decay rate of the fastest mode by viscosity, 1/time.
     stiffest : R^2 lambda / I, 1/mass: radius R, largest eigenvalue lambda of the Laplacian of the contacts, moment of
         inertia I.
     """
-    damping, stiffness = (options.damping, options.stiffness) if holds else (0.0, 0.0)
+    damping, stiffness = (options.damping, options.stiffness) if has_friction else (0.0, 0.0)
     return largest_stable_step(options.gear_order, damping * stiffest + decay, stiffness * stiffest)

@@ -294,7 +294,7 @@ class SpringDynamics(Dynamics):
         size, limit = vector_length(force), scene.strength * scene.acting_coefficient
         slips = size > limit * self.options.static_ratio
         force = force * np.divide(limit, size, out=np.ones_like(size), where=slips)
-        return self.with_viscosity(force if scene.law.holds else np.zeros_like(force), difference)
+        return self.with_viscosity(force if scene.law.has_friction else np.zeros_like(force), difference)
 
     def energy_balance(self, staggered: np.ndarray, force: np.ndarray, spring: np.ndarray) -> Energy | None:
         """Return the energy balance now; a subclass may return None if none is kept.
@@ -313,7 +313,7 @@ class SpringDynamics(Dynamics):
 
         last : the progress at the end, which is not needed here.
         """
-        slid = self.scene.slip_radius * self.scene.jump * self.time if self.scene.law.holds else 0.0
+        slid = self.scene.slip_radius * self.scene.jump * self.time if self.scene.law.has_friction else 0.0
         return {"elastic_share": vector_length(self.motion()[2]).max(axis=1) / slid} if slid > 0 else {}
 
     def progress(self) -> Progress:
@@ -323,7 +323,7 @@ class SpringDynamics(Dynamics):
         scene, stiffness = self.scene, self.options.stiffness
         staggered, force, stretch = self.motion()
         springs = force  # the lower bound follows from the forces without those of the dampers
-        if scene.law.holds:
+        if scene.law.has_friction:
             springs = self.with_viscosity(stiffness * stretch, self.differences(staggered))
         slipping, creep = slipping_contacts(scene, force, scene.slips(staggered, self.spin_axes), self.same_force)
         found = self.judged(

@@ -91,7 +91,7 @@ class GradientDescentMethod(Swept):
         # multiplied by a spin difference this viscosity is a force in the unit `strength` of the friction coefficients
         beside = scene.viscosity_beside_friction
         self.viscosity = None if beside is None else scene.slip_radius / scene.strength * beside
-        self.averages = scene.law.holds and not self.momentum
+        self.averages = scene.law.has_friction and not self.momentum
         # fields of the spheres, with a number for each spin component, and fields of the contacts
         names = [*contacts.points, "inverse_weight"] + self.momentum * ["spin"] + self.averages * ["spin_sum"]
         spheres = dict.fromkeys(names, len(self.spin_axes))
@@ -218,7 +218,7 @@ class GradientDescentMethod(Swept):
         With friction that constant is one over the spin difference up to which friction grows, time; for a law without
         friction it is the radius.
         """
-        if not self.scene.law.holds:
+        if not self.scene.law.has_friction:
             return 0.5, self.scene.slip_radius
         return (self.width / 2 if self.momentum else self.step_length), 1.0 / self.width
 
@@ -237,7 +237,7 @@ class GradientDescentMethod(Swept):
         else:
             staggered = scene.impose_driving(self.fields.read("spin" if self.momentum else "point"), self.spin_axes)
             force = self.forces_at(staggered, self.width)
-        creep = RESOLVED_WIDTHS * (self.width if self.momentum else self.step_length) if scene.law.holds else 0.0
+        creep = RESOLVED_WIDTHS * (self.width if self.momentum else self.step_length) if scene.law.has_friction else 0.0
         resolution = scene.slip_radius * min(creep, LARGE_SLIP * scene.jump)  # slower slips may be rest
         found = self.judged(staggered, force, iteration=self.iteration, resolution=resolution)
         # what the next sweeps need: width and momentum, or the next epoch from its average
@@ -260,7 +260,7 @@ class GradientDescentMethod(Swept):
         """
         shorten, smooth, scene = False, objective, self.scene
         # the regularised objective is less than the true one, by at most radius * width / 2 times friction a contact
-        if scene.law.holds:
+        if scene.law.has_friction:
             size = np.minimum(vector_length(self.differences(staggered)), self.width)
             error = scene.slip_radius * (size - size**2 / (2 * self.width))
             smooth = objective - (scene.strength * scene.acting_coefficient * error).sum(axis=1)

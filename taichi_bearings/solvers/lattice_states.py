@@ -109,10 +109,10 @@ class LatticeReached(Reached):
         slip : (R, E), slip speeds.
         """
         scene = self.scene
-        if not scene.law.holds:
+        if not scene.law.has_friction:
             return scene.law.force(scene.material, slip)
         ratio = max(getattr(self.options, "static_ratio", 1.0), 1.0)
-        most = np.inf if scene.law.flows else scene.strength * ratio
+        most = np.inf if scene.law.has_viscosity else scene.strength * ratio
         absent = scene.coefficient == 0
         limit = most * np.where(absent, 1.0, scene.coefficient)
         return np.where(absent, 0.0, np.minimum(self.final.force[0], limit))
@@ -138,7 +138,7 @@ class LatticeReached(Reached):
         """
         scene, believed = self.scene, self.final.states_believed
         one_component = scene.law.is_rate_independent and len(scene.minimum_spin_axes) == 1
-        is_cheap = one_component or scene.law.flows
+        is_cheap = one_component or scene.law.has_viscosity
         return np.full(scene.replicas, is_cheap) if believed is None or is_cheap else np.array(believed)
 
     def known(self, has_ended: bool) -> np.ndarray | None:
@@ -203,7 +203,7 @@ def _states_and_thresholds(
     resolves = np.maximum(final.resolution, rounding) * np.ones(scene.replicas)
     state = _states(scene, slip, final, float(resolves.max()), asked=False)
     if known is not None:
-        off = (state == ContactState.SLIPPING) & (saturation(scene, size) < SATURATED) & (not scene.law.flows)
+        off = (state == ContactState.SLIPPING) & (saturation(scene, size) < SATURATED) & (not scene.law.has_viscosity)
         state = np.where(off, ContactState.UNDECIDED, state)
         state = decided(state, known)[0]
     found = separate(scene, slip, state)
@@ -223,7 +223,9 @@ def _known_by_contact(judgement: Judgement | None, is_dynamics: bool) -> np.ndar
     judgement : what is proven of the answer, or None.
     is_dynamics : True if the method is a dynamics.
     """
-    if judgement is None or not (judgement.law.flows or (len(judgement.network.needed) < 2 and not is_dynamics)):
+    if judgement is None or not (
+        judgement.law.has_viscosity or (len(judgement.network.needed) < 2 and not is_dynamics)
+    ):
         return None
     return judgement.known
 

@@ -362,7 +362,7 @@ class StepsReached(PackingReached):
         seen, slip, acting, scene = super().observed(answer, known), answer.slip[0], self.acting, self.scene
         loose = np.setdiff1d(acting, self.system.numbers)
         seen[0, loose] = np.where(slip[loose] > self.last.resolution, SLIPPING, SLIPLESS)
-        if scene.law.holds:
+        if scene.law.has_friction:
             now = answer.slip[:, acting], self.last.force, float(np.max(self.last.resolution))
             seen[:, acting] = classify(self.of_acting, *now)
         else:

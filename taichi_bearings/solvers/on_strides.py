@@ -380,7 +380,7 @@ def sticking_modes(
     radius = scene.slip_radius
     over = radius**2 / inertia_of(scene, options)
     spectrum = over * laplacian_spectrum(scene.lattice, spin_axes)
-    if not scene.law.holds:
+    if not scene.law.has_friction:
         # without friction: the rates are those of equal contacts, scaled so that the stiffest mode has its known rate
         stiffest = largest_stable_step(options.gear_order, 1.0, 0.0) / stable
         decay = stiffest * spectrum / (over * largest_laplacian_eigenvalue(scene.lattice, spin_axes))

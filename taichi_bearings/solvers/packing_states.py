@@ -230,7 +230,7 @@ def _states(system: ContactSystem, packing: Packing, found: Found, slip: np.ndar
     if found.open is not None:
         settled[found.open] = UNDECIDED
     unproven = known[system.contact] == UNDECIDED
-    if not law.flows and (unproven & (settled == SLIPPING)).any():
+    if not law.has_viscosity and (unproven & (settled == SLIPPING)).any():
         settled[tied(system, found.force, settled) if found.ties is None else found.ties] = UNDECIDED
     state[system.contact] = settled
     return state

@@ -105,7 +105,7 @@ def method_of(scene: Bearing, method: str, looks_for_motions: bool = True) -> st
     with one_thread():
         system = system_of(scene.sample(0)) if looks_for_motions else ContactSystem.before_motions(scene.sample(0))
     exact = scene.law.is_rate_independent and not (system.feels.sum(axis=1) > 1).any()
-    able = ["planar-cut"] * exact + ["interior-point" if scene.law.holds else "linear-solver"]
+    able = ["planar-cut"] * exact + ["interior-point" if scene.law.has_friction else "linear-solver"]
     if method not in ("auto", *able):
         raise InputError(
             f"method is {shown(method)}; for the least power of this packing it must be {' or '.join(able)}"

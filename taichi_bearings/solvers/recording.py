@@ -167,7 +167,7 @@ class Recorder:
             row["potential"] = progress.objective
         if progress.time is not None:
             row["time"] = progress.time
-        if progress.slipping is not None and self._scene.law.holds:
+        if progress.slipping is not None and self._scene.law.has_friction:
             row["slipping"] = progress.slipping
         if progress.energy is not None:
             energy = progress.energy

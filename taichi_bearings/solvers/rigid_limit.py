@@ -116,7 +116,7 @@ class RigidLimitMethod(Dynamics):
             """Return the mean of a coefficient (samples R, contacts E) over the contacts with a free sphere."""
             return float(coefficient[:, scene.network.has_free_end].mean())
 
-        force = scene.strength * mean(scene.coefficient) * (1.0 if scene.law.holds else fastest)
+        force = scene.strength * mean(scene.coefficient) * (1.0 if scene.law.has_friction else fastest)
         if scene.viscosity_beside_friction is not None:
             force += mean(scene.viscosity_beside_friction) * fastest
         return float(np.mean(self.inertia)) * self.largest / (scene.slip_radius * force)

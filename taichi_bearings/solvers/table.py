@@ -56,7 +56,7 @@ def _steps(law: Law) -> bool:
     A suitable law has one coefficient and a force that grows with the slip and is 0 without slip, and defines
     `steepest`, the slope of its force.
     """
-    is_steady = law.flows and not law.holds and type(law).steepest is not Law.steepest
+    is_steady = law.has_viscosity and not law.has_friction and type(law).steepest is not Law.steepest
     return law.is_sum or (is_steady and len(law.quantities) == 1)
 
 
@@ -70,7 +70,7 @@ def _why_not_stepped(law: Law, method: str) -> str:
         return ""
     if len(law.quantities) > 1:
         return f"{method} takes laws of your own with one coefficient"
-    if law.holds:
+    if law.has_friction:
         return f'its {law.quantities[0].name} has the unit "1" of friction, which none of our methods takes'
     return f"{method} takes it if it defines `steepest`"
 
@@ -103,7 +103,7 @@ def _factorising_bytes(shape: Sequence[int], periodic: Sequence[int]) -> float:
     return 8 * numbers + FACTORISING_BYTES[len(shape)] * prod(shape) if numbers < MOST_FACTOR_NUMBERS else inf
 
 
-material = partial(option, laws=attrgetter("holds"))  # an option that only laws with friction have
+material = partial(option, laws=attrgetter("has_friction"))  # an option that only laws with friction have
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -309,7 +309,7 @@ class InteriorPoint(MethodOptions):
     alike_in_a_block = 5_000
     merit = "fastest that can prove which contacts slip"
     colour, marker = "#D55E00", "^"
-    solves = _laws(attrgetter("holds"))
+    solves = _laws(attrgetter("has_friction"))
 
     settle: bool = how(
         True,
@@ -332,7 +332,7 @@ class InteriorPoint(MethodOptions):
             return False
         lattice = scene.lattice
         if lattice.sites <= MOST_FACTORISED:
-            return tolerance < SPLITTING_TOLERANCE or scene.law.flows
+            return tolerance < SPLITTING_TOLERANCE or scene.law.has_viscosity
         from taichi_bearings.memory import ESTIMATE_MARGIN, free_bytes
 
         needed = ESTIMATE_MARGIN * scene.replicas * cls.bytes(lattice.shape, lattice.periodic)
@@ -430,7 +430,7 @@ class LinearSolver(MethodOptions):
     needs_taichi = False
     merit = "fastest, and exact but for rounding"
     colour, marker = "#CC79A7", "v"
-    solves = _laws(lambda law: not law.holds)
+    solves = _laws(lambda law: not law.has_friction)
 
     @classmethod
     def seconds(cls, shape: Sequence[int], tolerance: float) -> float | None:

@@ -115,7 +115,7 @@ def facts_of(drawn: PointsAndLines) -> Json:
     structure, states, law = drawn.structure, drawn.contacts["state"].values, drawn.structure.scene.law
     specific, fastest, natural, bound = (_of_lattice if drawn.is_lattice else _of_packing)(drawn)
     proven = bool(drawn.contacts["proven"].values[states != ContactState.DRIVEN].all())
-    decided = "proven" if proven else f"decided by {'slip and friction' if law.holds else 'slip'}, not proven"
+    decided = "proven" if proven else f"decided by {'slip and friction' if law.has_friction else 'slip'}, not proven"
     answer = f"{drawn.answer.method}: {drawn.answer.status.value}; P = {structure.power:.6g}{natural}, {bound}"
     tied, undecided = (structure.contacts_in(kind) for kind in (ContactState.TIED, ContactState.UNDECIDED))
     keys = ("coefficient", "viscosity")[: len(law.quantities)]

@@ -73,7 +73,7 @@ def laboratory_minimum(scene, tolerance=TOLERANCE):
                     matrix[:, column[site, k]] += turned
         slips.append(matrix)
         known.append(fixed)
-    holds = scene.law.holds
+    holds = scene.law.has_friction
     friction = [scene.normal_force * scene.coefficients[axis][site] if holds else 0.0 for site, axis in contacts]
     viscous = scene.viscosity or (() if holds else scene.coefficients)
     eta = np.array([viscous[axis][site] if viscous else 0.0 for site, axis in contacts])
@@ -99,17 +99,19 @@ def draw_scene(seed, number):
     even = [name for name, side in zip("xy", shape[:-1], strict=False) if side % 2 == 0]
     given["periodic"] = tuple(name for name in even if rng.random() < 0.5)
     given |= {"radius": float(rng.choice([0.5, 2.0]))}
-    given |= {"normal_force": float(rng.choice([1.0, 50.0]))} if law.holds else {}
+    given |= {"normal_force": float(rng.choice([1.0, 50.0]))} if law.has_friction else {}
     return Scene.random(shape, seed=int(rng.integers(2**31)), **given)
 
 
 def falsehoods(scene, best, truth):
     """What the answer says and the programme refutes, and how many states were compared."""
-    least = truth.objective * (1 if scene.law.holds else 2)  # viscous contacts alone dissipate twice their potential
+    least = truth.objective * (
+        1 if scene.law.has_friction else 2
+    )  # viscous contacts alone dissipate twice their potential
     clear = CLEAR_SLIP * scene.lattice.radius * (scene.jump or scene.fastest or 1.0)
     fastest = scene.lattice.radius * scene.fastest
     unit = scene.strength * max(float(values.max()) for values in scene.coefficients) * fastest
-    room = AGREEMENT * abs(least) + 1e-10 * unit * (1 if scene.law.holds else fastest) + 10 * TOLERANCE
+    room = AGREEMENT * abs(least) + 1e-10 * unit * (1 if scene.law.has_friction else fastest) + 10 * TOLERANCE
     found, compared = [], 0
     objective = best.potential if scene.law.name == "coulomb-viscous" else best.power
     if best.lower_bound > least + room:

@@ -43,7 +43,7 @@ class Accelerated(MethodOptions):
 
     @staticmethod
     def solves(law):
-        return law.flows and not law.holds
+        return law.has_viscosity and not law.has_friction
 
 
 class AcceleratedGradient(Method):

@@ -51,7 +51,7 @@ class Minimise(MethodOptions):
 
     @staticmethod
     def solves(law):
-        return law.flows and not law.holds
+        return law.has_viscosity and not law.has_friction
 
 
 class Minimiser(Method):

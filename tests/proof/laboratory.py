@@ -182,7 +182,7 @@ class OfPacking:
 
     def objective(self):
         """The power, or of contacts with friction and viscosity their potential."""
-        return self.power(Decimal(1) / 2 if self.law.holds and self.law.flows else Decimal(1))
+        return self.power(Decimal(1) / 2 if self.law.has_friction and self.law.has_viscosity else Decimal(1))
 
     def lower_bound(self):
         """Work of the driven spheres less the price of torques that are left over at the largest imposed u by
@@ -204,4 +204,4 @@ class OfPacking:
         gained = ZERO
         for pull, u, free in zip(torque, self.u, self.free, strict=True):
             gained += -sum((abs(p) * b for p, b in zip(pull, box, strict=True)), ZERO) if free else dot(pull, u)
-        return (1 if self.law.holds else 2) * (gained / worst - cost)
+        return (1 if self.law.has_friction else 2) * (gained / worst - cost)

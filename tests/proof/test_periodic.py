@@ -111,7 +111,7 @@ def test_bounds_are_those_of_the_laboratory(shape, sides, options, size):
 def assert_states_of_cone_programme(scene, samples):
     """Of the laboratory frame with all components, whose slips are those in the middle of all minima."""
     judgement, truth = samples.judgement, laboratory_minimum(scene)
-    least = truth.objective * (1 if scene.law.holds else 2)
+    least = truth.objective * (1 if scene.law.has_friction else 2)
     assert judgement.lower_bound[0] == pytest.approx(least, rel=1e-8)
     small = 1e-5 * samples.radius * samples.jump_size
     proven = by_axis(samples, judgement.states[0].known)

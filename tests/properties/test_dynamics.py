@@ -47,7 +47,7 @@ def test_what_is_least_at_rest_never_rises_in_the_rigid_limit(laws, contrast, ri
 def relaxation_time(scene):
     """I omega / (R F): of one sphere under the forces of its contacts."""
     held = scene.coefficient.max() * scene.strength
-    force = held if scene.law.holds else held * scene.lattice.radius * scene.jump
+    force = held if scene.law.has_friction else held * scene.lattice.radius * scene.jump
     return float(scene.lattice.radius * scene.jump / force)
 
 

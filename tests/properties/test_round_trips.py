@@ -172,7 +172,9 @@ def test_the_command_line_the_scene_in_arrays_and_the_scene_in_a_file_are_one(sc
     answer = tb.solve(scene, tolerance=1e-9, threads=1)
     with folder() as place:
         np.savez(place / "c.npz", **{name: values[0] for name, values in short_names(scene).items()})
-        words = {name: getattr(scene, name) for name in Scene.PARAMETERS if name != "normal_force" or scene.law.holds}
+        words = {
+            name: getattr(scene, name) for name in Scene.PARAMETERS if name != "normal_force" or scene.law.has_friction
+        }
         words |= {"law": scene.law, "shape": scene.lattice.shape, "coefficients": place / "c.npz", "out": place / "run"}
         words |= {"tolerance": 1e-9, "threads": 1, "figures": "none"}
         given = [f"--{name.replace('_', '-')}={_word(value)}" for name, value in words.items() if value is not None]

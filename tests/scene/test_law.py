@@ -41,7 +41,7 @@ def test_the_conjugate_is_the_largest_work_less_the_potential(law):
         else:
             expected = (force * SLIP * 4 - law.potential(of, SLIP * 4)).max()
         assert law.conjugate(of, np.array([force]))[0] == pytest.approx(expected, abs=1e-6)
-    if law.flows:
+    if law.has_viscosity:
         for slip in (0.1, 0.7, 2.0):
             force = law.force(of, np.array([slip]))
             assert law.conjugate(of, force) + law.potential(of, np.array([slip])) == pytest.approx(force * slip)

@@ -43,11 +43,11 @@ def exact_spins(scene, start, axes, options, duration):
     in the spins and, for Coulomb, their integrals, which stretch the springs."""
     after = scene.staggered_spin(start, axes)
     for slot, component in enumerate(axes):
-        matrix, free = laplacian(scene, component, weighted=scene.law.flows)
+        matrix, free = laplacian(scene, component, weighted=scene.law.has_viscosity)
         rate = scene.lattice.radius**2 / options.inertia * matrix * free[:, None]
         nothing = np.zeros_like(rate)
         system = [[-rate, nothing], [nothing, nothing]]
-        if scene.law.holds:
+        if scene.law.has_friction:
             system = [[-options.damping * rate, -options.stiffness * rate], [np.eye(len(free)), nothing]]
         state = np.concatenate([after[slot, 0].ravel(), np.zeros(len(free))])
         after[slot, 0] = (expm(duration * np.block(system)) @ state)[: len(free)].reshape(scene.lattice.shape)
