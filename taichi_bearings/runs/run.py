@@ -178,17 +178,38 @@ def resume(
         stored = RunSettings.from_mapping(parse_toml(scene) | changes, "the options")
         if stored.checkpoint_every is None:
             raise FileError(f"{checkpoint_of(path)} is damaged or was changed: its scene names no checkpoint_every")
-        if "duration" in changes and stored.duration is not None:
-            duration, ends = stored.duration, [v for key, v in arrays.items() if key.rpartition("/")[2] == "last_time"]
-            reached = float(max(ends, default=0.0))  # by the replica of a packing that is farthest
-            if reached > duration * (1 + SAME_TIME):
-                raise InputError(
-                    f"duration is {duration:g}, but the checkpoint of {path} is at the time {reached:g}; it must be "
-                    "longer"
-                )
+        _refuse_passed(path, stored, changes, arrays)
         settings = RunSettings.from_mapping(parse_toml(scene, path) | changes, "the options")
         job = prepare(settings, strict=False)
         return _solve_with_checkpoints(path, job, stored, arrays or None, monitors, title)
+
+
+def _refuse_passed(
+    path: Path, settings: RunSettings, changes: Mapping[str, object], arrays: Mapping[str, np.ndarray]
+) -> None:
+    """Raise InputError for a new limit of a resumed run that its checkpoint has passed already: the run would end at
+    once, and its result be replaced by the state of the checkpoint.
+
+    path : the run directory.
+    settings : the settings, with the new ones.
+    changes : the new settings, by name.
+    arrays : the checkpoint, by name. The samples of a packing have one each, of which the farthest counts.
+    """
+
+    def farthest(name: str) -> float:
+        """Return the largest of the numbers of this name in the checkpoint, 0 where there is none."""
+        return max((float(np.max(of)) for key, of in arrays.items() if key.rpartition("/")[2] == name), default=0.0)
+
+    time, iteration, seconds = farthest("last_time"), farthest("iteration"), farthest("elapsed")
+    if "duration" in changes and settings.duration is not None and time > settings.duration * (1 + SAME_TIME):
+        said = f"duration is {settings.duration:g}", f"at the time {time:g}; it must be longer"
+    elif "iterations" in changes and settings.iterations is not None and iteration > settings.iterations:
+        said = f"iterations is {settings.iterations}", f"at iteration {iteration:.0f}; there must be more"
+    elif "time_limit" in changes and settings.time_limit is not None and seconds > settings.time_limit:
+        said = f"time_limit is {settings.time_limit:g} s", f"reached after {seconds:.3g} s; it must be longer"
+    else:
+        return
+    raise InputError(f"{said[0]}, but the checkpoint of {path} is {said[1]}")
 
 
 def _solve_with_checkpoints(

@@ -196,6 +196,14 @@ def test_what_cannot_be_resumed_is_said_in_one_sentence(tmp_path):
     longer = ("--iterations", "1000000", "--duration")
     assert bearings("run", "--resume", "run", *longer, "0.5", cwd=tmp_path).returncode == 0
     assert "is at the time 0.5; it must be longer" in refuses("--resume", "run", "--duration", "0.1")
+    before = (tmp_path / "run" / "run.h5").read_bytes()
+    assert "iterations is 5, but the checkpoint of run is at iteration" in refuses(
+        "--resume", "run", "--iterations", "5"
+    )
+    assert "time_limit is 1e-09 s, but the checkpoint of run is reached after" in refuses(
+        "--resume", "run", "--time-limit", "1e-9"
+    )
+    assert (tmp_path / "run" / "run.h5").read_bytes() == before
     with h5py.File(tmp_path / "run" / "checkpoint.h5", "a") as file:
         del file["gear_0"]
     assert "incomplete" in refuses("--resume", "run", "--duration", "1")
