@@ -151,10 +151,10 @@ class CSweep:
     """
 
     def __init__(self, arrays: Arrays, folder: Path) -> None:
-        """Compile the sweep for these arrays, whose spins it changes, and make a second array of spins. The type of
-        numbers, and the spin components that make the contacts of each axis slip, are constants of the compiled code.
+        """Compile the sweep for some arrays, and make a second array of spins. The type of numbers, and the spin
+        components that make the contacts of each axis slip, are constants of the compiled code.
 
-        arrays : spins, friction and steps.
+        arrays : spins, which the sweeps change, friction and steps.
         folder : where the machine code is written.
 
         Raises OSError if it cannot be compiled or loaded.

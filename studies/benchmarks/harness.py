@@ -68,8 +68,8 @@ class Times:
         return {"seconds": self.seconds, **ends, **known, "rounds": len(self.wall)}
 
     def over(self, other: "Times") -> float:
-        """Return how many times as long these take as the `other` ones, measured in the same rounds: the median over
-        the rounds of the ratio of wall times.
+        """Return the median over the rounds of the ratio of wall times, these over the `other` ones, measured in the
+        same rounds.
         """
         return float(np.median(self.wall / other.wall))
 
@@ -87,7 +87,7 @@ def in_turns(calls: Mapping[str, Callable[[int], T]], rounds: int) -> dict[str, 
 
 
 def timed(calls: Mapping[str, Callable[[int], None]], rounds: int, slice_seconds: float) -> dict[str, Times]:
-    """Return the times of some functions, called in turns in `rounds` rounds.
+    """Return the times of some functions by name, each of which is called once in each of `rounds` rounds.
 
     calls : functions that repeat something as often as their argument says, by name.
     slice_seconds : about how long one call should take; the number of repetitions is chosen so, at least one.
@@ -236,8 +236,8 @@ def _add_to_report(report: Report, name: str, found: Row | str) -> None:
 
 
 def elsewhere(find: Callable[..., Measurements], *arguments: Any) -> Measurements:
-    """Yield the rows that `find(*arguments)` yields in a process of its own, one after the other. Raises BearingsError
-    if that process raises one or dies.
+    """Yield the rows that `find(*arguments)` yields in a new process. Raises BearingsError if that process raises one,
+    or dies.
     """
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()

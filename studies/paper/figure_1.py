@@ -211,12 +211,13 @@ def viscous_numbers(solution: Solution) -> dict[str, Any]:
 
 def least_rise(scene: Scene, spin: np.ndarray) -> float:
     """Return the smallest step of the mean spin from a layer to the next one above, among all layers of all samples.
-    Its unit is the jump, the difference of the imposed spins of top and bottom. Spins are staggered (with opposite
-    signs on neighbours), and only their part along the jump is taken: the mean rises from 0 at the bottom to 1 at the
-    top, and a negative step leads back towards the spin of the bottom.
 
     scene : the lattice with its R samples.
     spin : (R samples, *N spheres, ...), laboratory frame, 1/time.
+
+    Spins are staggered (with opposite signs on neighbours). Their part along the jump, the difference of the imposed
+    spins, is taken in units of the jump: its mean rises from 0 at the bottom to 1 at the top, and a negative step leads
+    back towards the spin of the bottom.
     """
     axes = scene.minimum_spin_axes
     top = scene.top_spin(axes).reshape(len(axes), -1)[:, 0]

@@ -165,9 +165,9 @@ def _resampling_factors(samples: Mapping[int, np.ndarray]) -> np.ndarray:
 def _terms_over_errors(
     sizes: np.ndarray, spread: np.ndarray, further: Sequence[float], values: np.ndarray
 ) -> np.ndarray:
-    """Return the terms of a law of the size L over the error of what is fitted, (trials, sizes, terms): for each trial
-    exponent and each size first L^(2 exponent), then L to the power of each further exponent. These are the columns of
-    a linear least squares problem for the factors of the terms.
+    """Return the columns of the linear least squares problems for the factors of the terms of a law, (trials, sizes,
+    terms): for each trial exponent and each size L first L^(2 exponent), then L to the power of each further exponent,
+    all divided by the error of what is fitted.
 
     sizes, spread : (sizes,) the sizes, and the standard error of what is fitted at each.
     further : exponents of L in the further terms.

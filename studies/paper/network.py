@@ -92,9 +92,12 @@ def numbers_of(structure: Structure) -> dict[str, Any]:
 
 
 def sample_of(structure: Structure) -> dict[str, Any]:
-    """Return the columns of one sample at its minimum: those of :func:`.samples.shared_numbers`, and these.
+    """Return the columns of one sample at its minimum, by name.
 
-    structure : the argument: network, domains, cut and bottlenecks of the sample.
+    structure : network, domains, cut and bottlenecks of the sample.
+
+    The columns of :func:`.samples.shared_numbers` are followed by:
+
     unique : True if the minimum is proven to be the only one.
     reached_by_chance : share of the free spheres that as many contacts at random places would touch.
     shortest_path : contacts of the shortest slipless path from bottom to top; 0 without one.

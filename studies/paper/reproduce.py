@@ -88,8 +88,8 @@ class PaperFigure:
 
 
 def _untitled(figure: Figure) -> Figure:
-    """Return the figure, changed in place, without a title; titles of its panels that begin with a letter such as (a)
-    are cut to that.
+    """Remove the title of a figure, which is changed in place, and return the figure; of titles of panels that begin
+    with a letter such as (a) this letter alone is left.
     """
     figure.suptitle("")
     for axes in figure.axes:

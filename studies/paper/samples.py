@@ -255,8 +255,8 @@ def _record(part: Part) -> dict[str, Any]:
 
 
 def _by_worker(unit: Sequence[Part]) -> list[dict[str, Any]]:
-    """Compute some pieces in a worker process, and return their records; a piece that raises gets a record of its
-    error.
+    """Compute some pieces in a worker process, and return their records. The record of a piece that raises an exception
+    says so.
 
     unit : the pieces, which one worker computes.
     """

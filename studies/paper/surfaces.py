@@ -70,15 +70,17 @@ def cuts(length: int, lowest: float, samples: int, seed: int) -> dict[str, Any]:
 
 
 def numbers_of(structure: Structure) -> dict[str, Any]:
-    """Return the columns of one sample at its minimum: those that several studies have (side, seed, gap, ...), and
-    these.
+    """Return the columns of one sample at its minimum, by name.
+
+    structure : network, domains and cut of the sample.
+
+    Columns that several studies have (side, seed, gap, ...) are followed by:
 
     power, cut : least power, and power of the minimum cut, over F_n R omega_T.
     height : number of layers.
     layers : effective number of layers over which the spin changes: 1 / sum of share^2, where the share of a gap
         between two layers is its part of the change of the mean spin, with signs that alternate between neighbours. It
         is 1 if all of the change is between two layers.
-    structure : network, domains and cut of the sample.
     """
     scene, cut = of_lattice(structure.scene), structure.interface
     assert cut is not None  # as a lattice has two planes

@@ -114,14 +114,17 @@ def spread_numbers(structure: Structure) -> dict[str, Any]:
 
 
 def driven_numbers(structure: Structure) -> dict[str, Any]:
-    """Return the columns of one sample under a driving: those that several studies have (side, seed, gap, ...), and
-    these. The jump is the difference of the imposed spins of top and bottom.
+    """Return the columns of one sample under a driving, by name.
+
+    structure : network, domains and cut of the sample.
+
+    The jump is the difference of the imposed spins of top and bottom. Columns that several studies have (side, seed,
+    gap, ...) are followed by:
 
     slipless : list with an entry for each contact: 1 if it is slipless, else 0.
     power_over_jump : power over F_n R times the part of the jump across the height (times the whole jump, where it has
         no such part).
     angle : direction of the jump, degrees from x.
-    structure : network, domains and cut of the sample.
     """
     scene = of_lattice(structure.scene)
     jump = np.abs(scene.driving.difference.spin[0])

@@ -164,8 +164,7 @@ def _error(truth: Truth, objective: float | None) -> float | None:
 
 
 def _fault(truth: Truth, answer: Mapping[str, Any], row: dict[str, Any]) -> str:
-    """Return what is wrong with an answer that does not say so itself, in words; "" if nothing is. An answer is at
-    fault in one of these cases:
+    """Return in words what is wrong with an answer; "" if nothing is. An answer is wrong if
 
     * its bound is above the least value, or its objective is below it;
     * it calls contact states proven that are not true;

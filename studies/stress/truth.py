@@ -163,13 +163,14 @@ class Sample:
         return total[: self.unknowns]
 
     def forces(self, barrier: Decimal) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return at the present spins the slips (E contacts, C components) of the contacts; and, each (E, C) or (E, 1),
-        their lengths, the friction, and friction over slip. The friction is smoothed, and thus always within its limit:
-        along the central path the cost a |slip| of a contact is replaced by a smooth function near it, which tends to
-        it as `barrier` goes to 0.
+        """Return at the present spins slips (E contacts, C components), their lengths (E, 1), friction (E, C), and
+        friction over slip (E, 1).
 
         barrier : energy/time, how much the cost is smoothed. Friction is a slip / (width + root) with width = barrier /
             a and root = sqrt(width^2 + slip^2).
+
+        Along the central path the cost a |slip| of a contact is replaced by a smooth function, which tends to it as
+        `barrier` goes to 0; so friction never exceeds its limit.
         """
         slip = self.slips()
         length = np.sqrt((slip * slip).sum(axis=1, keepdims=True))
@@ -316,9 +317,9 @@ def _states(scene: Scene, sample: Sample, barrier: Decimal) -> tuple[np.ndarray,
 
 
 def layered(scene: Scene) -> Truth:
-    """Return the truth (least cost, as bounds that are equal) of a scene of any size whose contacts along the height
-    are alike in each layer: each column of spheres is then solved as a chain. Raises ValueError for friction with
-    viscosity if the imposed spins vary over the plane.
+    """Return the exact least cost, as two equal bounds, of a scene of any size whose contacts along the height are
+    alike in each layer: each column of spheres is solved as a chain. Raises ValueError for friction with viscosity if the
+    imposed spins vary over the plane.
     """
     with localcontext() as context:
         context.prec = DIGITS

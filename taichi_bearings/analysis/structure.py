@@ -277,7 +277,7 @@ class Structure:
         whole, imposed, (odd, sign) = self.whole, self.scene.driven_speed, self.signs
         first, second = whole.contact
         friction, sign = self.friction, np.where(odd, 1, sign)
-        # the force of a contact that is conjugate to u = R omega; it is the same for both spheres
+        # force against the friction of a contact, conjugate to u = R omega; it is the same for both spheres
         force = friction[:, None] if whole.dimension == 2 else np.cross(whole.normal, friction)
         force = np.where((self.state != ContactState.DRIVEN)[:, None], force, 0.0)
         # sum over the contacts of each sphere

@@ -172,8 +172,8 @@ def _write_geometry(root: h5py.Group, geometry: Geometry) -> None:
 
 
 def _start_steps(root: h5py.Group, moments: Moments, end: float) -> h5py.Group:
-    """Write the times of the snapshots and of the end, for all of which points and lines are the same, and return the
-    group of these steps.
+    """Write the times of the snapshots and of the end, and return the group of these time steps. All of them have the
+    same points and lines.
 
     root : the group /VTKHDF.
     moments : the snapshots.

@@ -54,8 +54,8 @@ def draw_coefficients(structure: Structure, page: Page) -> Figure:
 
 
 def _panels(page: Page, sheets: int, coefficients: int, height: float) -> tuple[Figure, list[list[Axes]], float]:
-    """Return a figure of panels, the axes of its panels (for each coefficient the list of those of its pictures), and
-    the width of a panel in inches.
+    """Return a figure of panels, the axes of its panels, and the width of a panel in inches. The axes are in lists, one
+    for each coefficient.
 
     page : how the figure is printed.
     sheets : number of pictures that show one coefficient.

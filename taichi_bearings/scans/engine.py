@@ -206,8 +206,8 @@ def solve_unit(unit: Unit, engine: str, work: Work, allowed: Callable[[Unit], fl
 
 
 def end_solvers(engine: str) -> None:
-    """End the worker processes of an engine; threads that wait for their answers then see that. Busy processes are
-    killed; idle ones save their compiled kernels for later processes and end.
+    """End the worker processes of an engine: busy ones are killed; idle ones save their compiled kernels for later
+    processes. A thread that waits for an answer then gets the reason why there is none.
 
     engine : name of the engine.
     """

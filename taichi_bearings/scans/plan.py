@@ -100,7 +100,7 @@ class ScanPlan:
 
 
 def groups_of(samples: Sequence[Sample]) -> list[list[Sample]]:
-    """Return the samples in groups whose settings differ in the seed only, otherwise in their order."""
+    """Return the samples in groups; within a group settings differ in the seed only. The order is that of `samples`."""
     groups: dict[tuple[object, ...], list[Sample]] = {}
     for sample in samples:
         alike = tuple(value for name, value in vars(sample.settings).items() if name != "seed")
