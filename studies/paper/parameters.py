@@ -57,8 +57,8 @@ LOADED = ("F_n = 5", "F_n = 500")  # variants that have another normal force
 
 
 def arrival(time: np.ndarray, excess: np.ndarray) -> np.ndarray:
-    """Return for each of R samples, (R,), the time from which on its power exceeds the minimum by no more than a share
-    LATE; the last time if it exceeds it by more up to the end.
+    """Return the time at which each of R samples arrives at its minimum, (R,): from then on its power exceeds the least
+    power by at most a share LATE. It is the last time for a sample that does not arrive.
 
     time : (times,), rising.
     excess : (times, R samples), power over the proven least one, less 1.

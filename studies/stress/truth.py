@@ -318,8 +318,8 @@ def _states(scene: Scene, sample: Sample, barrier: Decimal) -> tuple[np.ndarray,
 
 def layered(scene: Scene) -> Truth:
     """Return the exact least cost, as two equal bounds, of a scene of any size whose contacts along the height are
-    alike in each layer: each column of spheres is solved as a chain. Raises ValueError for friction with viscosity if the
-    imposed spins vary over the plane.
+    alike in each layer: each column of spheres is solved as a chain. Raises ValueError for friction with viscosity if
+    the imposed spins vary over the plane.
     """
     with localcontext() as context:
         context.prec = DIGITS

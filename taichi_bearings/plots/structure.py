@@ -208,7 +208,7 @@ def draw_network(structure: Structure, page: Page = PAGE) -> Figure:
         elif panel == "contacts":
             words += _draw_contacts(axes, network, view, 0.85 * width)
         else:
-            _draw_turning(axes, network, spin / (max(abs(spin_top), abs(spin_bottom)) or 1.0), speed, view)
+            _draw_path_spins(axes, network, spin / (max(abs(spin_top), abs(spin_bottom)) or 1.0), speed, view)
     if not is_flat or len(path):
         bearing.draw_speed_bar(figure, each, structure.scene, **({"shrink": 0.6} | (BELOW if bar_is_below else {})))
     if has_contacts and not network.spans:
@@ -302,7 +302,7 @@ def _draw_contacts(axes: Axes, network: SliplessNetwork, view: View, width: floa
     return words
 
 
-def _draw_turning(axes: Axes, network: SliplessNetwork, spin: np.ndarray, speed: np.ndarray, view: View) -> None:
+def _draw_path_spins(axes: Axes, network: SliplessNetwork, spin: np.ndarray, speed: np.ndarray, view: View) -> None:
     """Draw the spheres of the shortest slipless path of a network, coloured by speed, with their spins. In 3D: spheres
     from the back to the front, an arrow for each spin, and the shadow of the path on the floor. In 2D: discs, each with
     a symbol of the sense in which it turns.
