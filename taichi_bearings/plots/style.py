@@ -324,7 +324,7 @@ def driving(scene: Bearing) -> tuple[float, str]:
     scene : what was solved.
     """
     natural = scene.natural_spin
-    return (1.0, "") if natural is None else (natural, _symbol(scene, bool(scene.sides[0])))
+    return (1.0, "") if natural is None else (natural, _symbol(scene, bool(scene.top_and_bottom[0])))
 
 
 def power_unit(scene: Bearing) -> tuple[float, str]:

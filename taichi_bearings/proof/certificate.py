@@ -333,7 +333,7 @@ def relative_gap(scene: Bearing, objective: np.ndarray, bound: np.ndarray) -> np
     bound : (R,), its proven lower bound."""
     unit, idle = objective, scene.is_cut_off | (scene.jump == 0)
     if idle.any():
-        speed = np.full((), scene.slip_radius * (scene.jump or scene.sides[0]))
+        speed = np.full((), scene.slip_radius * (scene.jump or scene.top_and_bottom[0]))
         unit = np.where(idle, np.maximum(objective, scene.law.objective(scene.material, speed).sum(axis=1)), objective)
     with np.errstate(invalid="ignore", over="ignore"):
         gap = np.divide(objective - bound, unit, out=np.full(np.shape(objective), np.nan), where=unit > 0)

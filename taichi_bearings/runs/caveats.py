@@ -70,7 +70,7 @@ def _beside_a_bottom_that_turns(solution: Solution, settings: RunSettings) -> It
     settings : settings of the run, with the torque.
     """
     found = solution.findings
-    if settings.torque is None or "yields" not in found or not solution.scene.sides[1]:
+    if settings.torque is None or "yields" not in found or not solution.scene.top_and_bottom[1]:
         return
     held = abs(settings.torque) <= found["yield_torque_lower_bound"]
     if held.any():

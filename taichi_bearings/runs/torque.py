@@ -111,7 +111,7 @@ def under_torque(solution: Solution, torque: float, tolerance: float, solve: Sol
     Raises InputError if the imposed motion leaves the top at rest, or if the bottom turns with a law other than
     friction, with viscosity or without.
     """
-    top, others = solution.scene.sides
+    top, others = solution.scene.top_and_bottom
     if not top:
         raise InputError(
             f"torque is {torque:g}, but all imposed spins are 0; the torque acts about the axis of the top's spin, so "
@@ -138,7 +138,7 @@ def _torque_findings(solution: Solution, torque: float, tolerance: float, solve:
     solve : function that solves another scene or packing in the same way.
     """
     scene = solution.scene
-    if scene.sides[1]:
+    if scene.top_and_bottom[1]:
         return _findings_above_driven_bottom(scene, torque, solve)
     if not scene.law.is_sum:
         return findings_with_own_law(scene, torque, solve)
@@ -182,7 +182,7 @@ def _findings_above_driven_bottom(scene: Bearing, torque: float, solve: Solve) -
     torque : force*length.
     solve : function that solves another scene or packing in the same way.
     """
-    top, bottom = scene.sides
+    top, bottom = scene.top_and_bottom
     step = HELD_TURN * bottom / abs(top)
     still, moving = (solve(scene.with_top(strength)) for strength in (0.0, step if torque >= 0 else -step))
     high = np.nextafter((moving.objective * SURELY - still.bound_of_all_spins) / step, np.inf)

@@ -183,11 +183,11 @@ class Bearing(ABC):
         return float(np.abs(self.box(self.minimum_spin_axes)).max(axis=0).min())
 
     @property
-    def sides(self) -> tuple[float, float]:
+    def top_and_bottom(self) -> tuple[float, float]:
         """Two speeds, (top, bottom). Of a lattice they are the imposed spins of its planes, 1/time. Of another packing
         they are the largest imposed radius * spin of the top, the driven body with the largest number, and of all other
         driven spheres, length/time."""
-        return self.driving.sides
+        return self.driving.top_and_bottom
 
     @property
     def fastest(self) -> float:

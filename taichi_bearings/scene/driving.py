@@ -175,7 +175,7 @@ class Driving:
         return np.asarray(self.network.body == max(self.network.body.max(), 0))
 
     @property
-    def sides(self) -> tuple[float, float]:
+    def top_and_bottom(self) -> tuple[float, float]:
         """Two speeds, length/time: the largest imposed surface speed R omega of the top, the driven body with the
         largest number, and the largest of all other driven spheres.
         """
@@ -618,7 +618,7 @@ class Planes(Driving):
         return float(np.linalg.norm(self.imposed_on_top(self.lattice.all_spin_axes)[0], axis=0).max())
 
     @property
-    def sides(self) -> tuple[float, float]:
+    def top_and_bottom(self) -> tuple[float, float]:
         """The imposed spins of top and bottom, 1/time: as given, with their signs, if both turn about one axis;
         otherwise the largest size of the spin vector on each of the two planes.
         """
@@ -635,14 +635,14 @@ class Planes(Driving):
     @property
     def fastest(self) -> float:
         """The larger size of the imposed spins of top and bottom, 1/time."""
-        return max(map(abs, self.sides))
+        return max(map(abs, self.top_and_bottom))
 
     @property
     def natural_spin(self) -> float:
         """Unit of spins, 1/time, in which times and powers are reported: the size of the top's spin, of the bottom's if
         the top has none, or 1.
         """
-        top, bottom = self.sides
+        top, bottom = self.top_and_bottom
         return abs(top) or abs(bottom) or 1.0
 
     @property

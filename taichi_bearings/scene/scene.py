@@ -436,7 +436,7 @@ class Scene(Bearing):
         """The imposed spins of top and bottom, 1/time; where bearing states are imposed, their largest sizes on the two
         planes.
         """
-        return self.driving.sides
+        return self.driving.top_and_bottom
 
     @property
     def imposed_in_words(self) -> str:
