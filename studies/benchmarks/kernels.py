@@ -78,12 +78,13 @@ def _of_shape(plan: Plan, scene: Scene, precision: str, threads: int, folder: Pa
     found = timed({str(n): one.call for n, one in enumerate(candidates)}, plan.rounds, plan.slice_seconds)
     plain = found["0"].alone(threads)
     for one, times in zip(candidates, found.values(), strict=True):
-        others = one.name in (NUMPY, C)
-        alone = times.alone(1 if others else threads)
+        is_ours = one.name not in (NUMPY, C)
+        used = threads if is_ours else 1
+        alone = times.alone(used)
         yield {
             "what": one.name, "shape": scene.lattice.shape, "components": one.components, "precision": precision,
-            "threads": 1 if others else threads, **times.row, "contact_updates": scene.lattice.contacts / alone.seconds,
-            **({"ratio": alone.over(plain)} if others else {"seconds_compile": one.seconds_compile}),
+            "threads": used, **times.row, "contact_updates": scene.lattice.contacts / alone.seconds,
+            **({"seconds_compile": one.seconds_compile} if is_ours else {"ratio": alone.over(plain)}),
         }  # fmt: skip
 
 

@@ -202,6 +202,7 @@ def computed(parts: Sequence[Part], journal: Path, name: str, workers: int = 0) 
     """Return the result of each piece of work, in the order of `parts`. Pieces that the journal does not have are
     computed by worker processes.
 
+    parts : the pieces of work.
     journal : file to which each finished piece is appended at once; what it has already is not computed again. The
         caller removes it when the study is done.
     name : what a piece is called in progress reports and errors, such as "sample".

@@ -337,7 +337,8 @@ def layered(scene: Scene) -> Truth:
             return _truth_without_slip(scene)
         cost = Decimal(0)
         for of in filter(None, set(across.tolist())):
-            cost += _chain([held * of for held in a], [flow * of**2 for flow in c]) * int((across == of).sum())
+            chain = _chain([friction * of for friction in a], [viscosity * of**2 for viscosity in c])
+            cost += chain * int((across == of).sum())
         return Truth(cost, cost)
 
 
@@ -359,7 +360,5 @@ def _chain(friction: list[Decimal], viscosity: list[Decimal]) -> Decimal:
         compliance += 1 / viscosity[k]
         shift += friction[k] / viscosity[k]
         force = (1 + shift) / compliance
-    slips = [max(force - held, Decimal(0)) / flow for held, flow in zip(friction, viscosity, strict=True)]
-    return sum(
-        (held * v + flow * v * v / 2 for held, flow, v in zip(friction, viscosity, slips, strict=True)), Decimal(0)
-    )
+    slips = [max(force - f, Decimal(0)) / eta for f, eta in zip(friction, viscosity, strict=True)]
+    return sum((f * v + eta * v * v / 2 for f, eta, v in zip(friction, viscosity, slips, strict=True)), Decimal(0))

@@ -59,8 +59,8 @@ def is_sample(sample: Any) -> bool:
 
     sample : the record, as JSON has it.
 
-    Numbers of bins are so small that arrays over them fit into memory, and no lower bound lies above what it bounds by
-    more than rounding. Raises ValueError for a text that is no Unicode.
+    It is False, too, for numbers of bins so large that arrays over them would not fit into memory, and for a lower
+    bound that exceeds what it bounds by more than rounding. Raises ValueError for a text that is no Unicode.
     """
     if not _has_key(sample):
         return False

@@ -142,10 +142,11 @@ def _scale_of_energies(axes: Axes, energy: np.ndarray) -> None:
     if (energy >= 0).all():
         axes.set_yscale("log", nonpositive="mask")
         return
+    # linear up to a tenth of the largest negative energy, or up to the lowest of MOST_DECADES decades
     most, least = math.ceil(math.log10(size.max())), math.floor(math.log10(-energy.min())) - 1
     least = max(least, most - MOST_DECADES)
     axes.set_yscale("symlog", linthresh=10.0**least, linscale=0.5)
-    ticks: Any = axes.yaxis.get_major_locator()  # that of symmetric logarithmic axes
+    ticks: Any = axes.yaxis.get_major_locator()
     ticks.set_params(numticks=MOST_TICKS)
     axes.yaxis.set_minor_locator(NullLocator())
     axes.axhline(0.0, color="black", lw=0.6)
