@@ -1,15 +1,15 @@
-"""The last decades of the central path, down to where every contact either slips or sticks.
+"""Follows the last decades of the central path, until it is clear of every contact whether it slips or sticks.
 
 On the central path slip times friction margin, the product, is the same for all contacts. The path in doubles ends near
-products of 1e-14: margins fall below the rounding of forces, and slips below that of spins. Here contacts that slip far
-leave their cones and obey the law of friction exactly ("smooth" contacts), and spins are sums of two doubles. So all
-digits of the slips are known, and slips add up to exactly nothing round every loop of contacts; otherwise contacts at
-rest would seem to slip by what is missing. The product can then be brought down by another ten decades.
+products of 1e-14: margins fall below the rounding of forces, and slips below that of spins. Two changes let the product
+fall by another ten decades. Contacts with large slips leave their cones and obey the law of friction exactly; they are
+called *smooth*. And spins are sums of two doubles, so that slips have all their digits, and sum to 0 round every loop
+of contacts; otherwise contacts at rest would seem to slip by the rounding.
 
-A contact is decided when slip or margin falls in proportion to the product. Contacts that slip keep their slip, and
-their margin falls; contacts that stick keep their margin, and their slip falls. The ratio slip / margin therefore
-changes like 1 / product or like the product. In between, at contacts that bear exactly all their friction and do not
-slip ("at their limit"), both fall like the root of the product and the ratio stays.
+A contact that slips keeps its slip, and its margin falls in proportion to the product; a contact that sticks keeps its
+margin, and its slip falls. So the ratio slip / margin changes like 1 / product or like the product, and shows which is
+the case: the contact is *decided*. At a contact that bears all its friction and does not slip ("at its limit") both
+fall like the root of the product, and the ratio stays.
 """
 
 from dataclasses import replace
@@ -28,10 +28,10 @@ from taichi_bearings.numerics.double_double import Pair, exactly
 DECIDED_EXPONENT = 0.5
 # margin below which a contact can be at its limit (12^3 seeds 110 and 350), and below which one at rest surely is
 LEAST_MARGIN_AT_LIMIT, LOST_MARGIN = 1e-6, 1e-11
-VANISHING_PRODUCT = 1e-20  # product below which contacts are judged whose slip and margin both vanish
+VANISHING_PRODUCT = 1e-20  # below this product a ratio that stays shows that a contact is at its limit
 SLIPPING_RATIO = 1e4  # ratio slip / margin above which a contact surely slips
-# ratio slip / margin below which a contact surely sticks, if the ratio falls with the product and the margin is above
-# the second number
+# A contact surely sticks if its ratio slip / margin is below the first number and falls with the product, and its
+# margin is above the second.
 STICKING_RATIO, STICKING_MARGIN = 1e-5, 1e-5
 LEAST_PRODUCT = 1e-25  # product at which double precision ends
 # a step has stalled by rounding if more than this share of the product is left; the path ends after so many in a row
@@ -41,7 +41,7 @@ EPS = np.finfo(np.float64).eps
 
 
 class LastDecades:
-    """A point of the central path, whose spins are sums of two doubles, and the way on from it to its very end.
+    """A point of the central path, whose spins are sums of two doubles; it is moved along the path to its end.
 
     On the path slip times margin is about the same for all n contacts; the margin is the share of its friction that a
     contact has left.
@@ -61,19 +61,19 @@ class LastDecades:
             `iterate`.
         matrix : Newton matrix of the system of contacts.
         """
-        self._large, self._matrix = spins[0], matrix  # (unknowns,), high parts of the spins, which stay
+        self._large, self._matrix = spins[0], matrix  # (unknowns,), high parts of the spins, which do not change
         bound = iterate.bound - length(iterate.difference) + length(difference)
         self.point = replace(iterate, spins=spins[1], bound=bound, difference=difference)
         self.sticking = self.at_limit = np.zeros(len(iterate.friction), dtype=bool)
-        # (n,) slip over margin, and the product, at the point before; 0 and infinity at the start of each `decide`
+        # (n,) slip over margin, and the product, at the point before; 0 and infinity if there is none
         self._ratios, self._product = np.zeros(len(iterate.friction)), np.inf
-        self._raised = 0  # index in DIAGONAL_SHIFTS of what the diagonal of the last step's matrix was raised by
+        self._raised = 0  # index in DIAGONAL_SHIFTS of the addition to the diagonal in the last step
 
     @classmethod
     def after(cls, iterate: Iterate, before: Iterate | None, matrix: NewtonMatrix) -> "LastDecades":
-        """Return a path, with spins as sums of two doubles, that goes on from `iterate`, the point at which the central
-        path in doubles ends.
+        """Return the path that goes on, with spins as sums of two doubles, from a point of the path in doubles.
 
+        iterate : this point.
         before : the point one Newton step before, None if unknown.
         matrix : Newton matrix of the system of contacts.
         """
@@ -84,10 +84,10 @@ class LastDecades:
         return path
 
     def over(self, tied: Contraction) -> "LastDecades":
-        """Return this point of the path for a smaller system. In it some contacts are tied, which makes the spins at
-        their two ends equal; these contacts are left out, and each set of equal spins is one unknown.
+        """Return this point of the path for a smaller system, in which some contacts are tied: the spins at their two
+        ends are made equal, as one unknown.
 
-        tied : those contacts, and the system of the others, with one unknown for each set of spins that are equal.
+        tied : the system of the contacts that are left.
         """
         spins, point = tied.contracted(self.spins), self.point
         friction, bound, difference, dual = (
@@ -106,18 +106,16 @@ class LastDecades:
 
     def decide(self, doubtful: int = 0, to_the_end: bool = False) -> np.ndarray | None:
         """Go on along the path until it is decided which of the n contacts slip. Return a mask (n,) of these; None if
-        that fails.
+        that fails. Set `sticking`, and, if the path has come to its end, `at_limit`. The next call goes on from there
+        by at least one step.
 
         On the path slip times margin, the product, is about the same for all contacts; the margin is the share of its
         friction that a contact has left. Towards the end the margin vanishes where a contact slips, and the slip where
-        it sticks.
+        it sticks. So a contact is decided if the ratio slip / margin changes faster than a power DECIDED_EXPONENT of
+        the product.
 
         doubtful : number of contacts that may be left undecided.
         to_the_end : True to go on until double precision ends, even if all contacts are decided.
-
-        A contact is decided if the ratio slip / margin changes faster than a power DECIDED_EXPONENT of the product.
-        Afterwards `sticking` marks contacts that surely stick; `at_limit`, where the path has come to its end, those
-        that bear all their friction and do not slip. The next call goes on from there by at least one step.
         """
         before, last, stalled, fell = self._ratios, self._product, 0, np.ones(len(self.point.friction), dtype=bool)
         late: tuple[np.ndarray, float] | None = None  # ratios and product at the first point below VANISHING_PRODUCT
@@ -146,11 +144,12 @@ class LastDecades:
                 return (ratios > 1) & ~self.at_limit
             if late is None and product < VANISHING_PRODUCT:
                 late = ratios, product
-            # with larger slips contacts leave their cones, as rounding hides the distance; slips in doubt are smaller
+            # Contacts with so large slips that rounding hides their distance from the cone leave it, if it is decided
+            # that they slip.
             far = length(self.point.difference) > max(product / (1000 * EPS), 100 * np.sqrt(product))
             slips = far & ((power > DECIDED_EXPONENT) | self._smooth)
             self.point = newton_step(self.point.let_slip(slips), self._matrix, self._raised)
-            self._raised = self._matrix.raised  # further on stiffnesses differ by more still
+            self._raised = self._matrix.raised  # the next matrix, with larger ratios of stiffnesses, needs no less
             before, last, fell = ratios, product, ~(power > -DECIDED_EXPONENT)
         return None
 

@@ -2,10 +2,10 @@
 
 What is decided. The power of the contacts, the sum of mu |v| over all contacts, is to be least. At a minimum each
 contact either slips (v is not 0) or does not (v = 0). The central path (central_path.py) comes near the minimum, but at
-each of its points all contacts slip a little: mu times slip speed times friction margin is about the same for all
-(exactly the product mu b - v . f, with a bound b of the slip speed). Where this product is 1e-14, near the end of
-double precision, a slipping contact with the slip 1e-9 still has the margin 1e-5, and a contact without slip at the
-minimum that has this margin seems to slip as fast: both look alike. This module decides for every contact, and returns
+each of its points all contacts slip a little: the product mu b - v . f, with a bound b of the slip speed, is the same
+for all, and it is about mu times slip speed times friction margin. Let this product be 1e-14, near the end of double
+precision. A contact that slips by 1e-9 at the minimum then has the margin 1e-5; a contact that does not slip there, and
+has this margin, has the slip 1e-9 on the path: both look alike. This module decides for every contact, and returns
 spins, slips and forces of the minimum (:class:`Resolved`).
 
 Symbols (all words are in conic/__init__.py).
@@ -27,13 +27,14 @@ exactly if there are forces f such that
 (b) each slipping contact has f = mu v / |v|, all its friction along its slip;
 (c) each other contact has |f| <= mu.
 
-So it is enough to guess S, and to check. Tie every contact outside S: its two ends turn as one, so v = 0. (In this file
-*tied* means that alone; contacts that slip at some minima and rest at others, which other files call tied, are
-`sometimes_slips` here.) Then the power is a smooth function of the spins that are left; its minimum fulfils (b), and
-(a) for the tied sets of spins. What remains is (c): do forces within friction balance the torques inside the tied sets?
-If they do, all of (a) to (c) hold, and the guess was right: no guess needs a proof. (All this is in floating point, so
-torques and friction are checked up to about 1e-9; taichi_bearings/proof makes it rigorous. With a viscosity eta the
-power has eta |v|^2 / 2 more for each contact and the force eta v more; nothing else changes.)
+So it is enough to guess S, and to check. *Tie* every contact outside S: make the spins at its two ends equal, so v = 0.
+(In this file *tied* means that alone; contacts that slip at some minima and rest at others, which other files call
+tied, are `sometimes_slips` here.) Then the power is a smooth function of the spins that are left. At its minimum (b)
+holds, and (a) holds for each set of equal spins as a whole. What remains is (c): are there forces within friction at
+the tied contacts that balance the torques inside these sets? If there are, all of (a) to (c) hold, and the guess was
+right; how it was made does not matter. (All this is in floating point, so torques and friction are checked up to about
+1e-9; taichi_bearings/proof makes it rigorous. With a viscosity eta each contact adds eta |v|^2 / 2 to the power, and
+has the force eta v besides; nothing else changes.)
 
 Example: three contacts in a row with frictions 3, 1, 2, the first end at rest, the last one driven by a jump of 4. On
 the path the middle contact has nearly no margin and slips by nearly 4. With the others tied its slip is 4 and its force
@@ -41,16 +42,17 @@ the path the middle contact has nearly no margin and slips by nearly 4. With the
 
 Steps of :func:`resolve`.
 
-1. Guess S from the last two points of the path (:func:`_seem_to_stick`), in small samples only: in large ones some
-   guess is nearly always wrong. So it is where minima may tie; there the guess is made after step 4, if that fails.
-2. Find the minimum of the smooth power by Newton's method (:class:`_SmoothPower`). A slip that has shrunk below a
-   hundredth and would be reversed leaves S; a larger one only shortens the step. The last Newton steps are in twice the
-   precision (polish.py), as slips go down to 1e-15 of the jump and below.
-3. Look for the forces (c) (slipless_forces.py), after step 1 more persistently, as a guess that is right would fail
-   otherwise. If they exist and no slip is as small as rounding, the sample is done.
-4. Else, if the path has ended or minima may tie, follow it on until slip and margin of each contact have parted
-   (last_decades.py), and repeat steps 2 and 3 with the contacts that slip there, up to four times with different
-   contacts tied (:func:`_minimum_along_path`).
+1. Guess S from the last two points of the path (:func:`_seem_to_stick`), in small samples only: in large ones the guess
+   is nearly always wrong for some contact. It mostly is, too, where there may be several minima; there the guess is
+   made after step 4, if that fails.
+2. Find the minimum of the smooth power by Newton's method (:class:`_SmoothPower`). If a step would reverse a slip, the
+   step is shortened, or the contact leaves S if its slip is less than a hundredth of its first one. The last Newton
+   steps are in twice the precision (polish.py), as slips go down to 1e-15 of the jump and below.
+3. Look for the forces (c) (slipless_forces.py); after step 1 by two methods, since forces may exist although the
+   quicker one fails. If they are found and every slip is clearly more than rounding, the sample is done.
+4. Else, if the path has ended or there may be several minima, follow it on until it is clear which contacts slip
+   (last_decades.py), and repeat steps 2 and 3, up to four times with different contacts tied
+   (:func:`_minimum_along_path`).
 5. Refuse a minimum whose power differs from that of the path. If its states are sure and there is no viscosity, find
    contacts that slip at some minima and rest at others (ties.py).
 """
@@ -83,35 +85,34 @@ from taichi_bearings.numerics.double_double import Pair, exactly
 
 # Numbers below without a reason were found by trial. A bad guess of S costs a further trial; what is found is proven
 # elsewhere (taichi_bearings/proof).
-# The power of a minimum may lie above that of the path by so much, relative: sums of 1e5 contacts round by about 1e-12.
-# It may lie below by the second number: paths that come here have relative gaps of at most 1e-8.
+# The power of a minimum, over that of the path, may exceed 1 by MOST_ABOVE_PATH, as sums over 1e5 contacts round by
+# about 1e-12; it may be less than 1 by MOST_BELOW_PATH, as paths that come here have relative gaps of at most 1e-8.
 MOST_ABOVE_PATH, MOST_BELOW_PATH = 1e-12, 1e-6
-DECIDED_RATIO = 1e2  # a contact seems to stick if its margin is larger than its slip by more than this factor
-# A contact seems to stick if a step has left less than this share of its slip and more than this share of its margin. A
-# step leaves about a fifth of the slip of a contact that sticks, and of the margin of one that slips.
+DECIDED_RATIO = 1e2  # a contact seems to stick only if its margin is larger than its slip by more than this factor
+# It seems to stick if a step has left less than this share of its slip and more than this share of its margin. A step
+# leaves about a fifth of the slip of a contact that sticks, and of the margin of one that slips.
 STICKING_TREND = 0.6
-# It sticks whatever its slip does, if that is below the first number, in units of the jump, and its margin above the
-# second: the slip is hardly more than the rounding of the spins then, some 1e-13.
+# It also seems to stick if its slip is below NOISY_SLIP, in units of the jump, which is hardly more than the rounding
+# of the spins, some 1e-13, and its margin is above WIDE_MARGIN.
 NOISY_SLIP, WIDE_MARGIN = 1e-11, 0.1
-DOUBTFUL_SHARE = (
-    1e-2  # share of the contacts with friction that may be undecided when the trials on the last decades begin
-)
-LEAST_DOUBTFUL, MOST_DOUBTFUL = 30, 300  # bounds on the number of contacts that this share allows
-FEW_DOUBTFUL = 3  # number of contacts that may be undecided in the early trials, made if minima can be unique
+# share of the contacts with friction that may be undecided when the trials of `_minimum_along_path` begin, and bounds
+# on the number of contacts that this share allows
+DOUBTFUL_SHARE = 1e-2
+LEAST_DOUBTFUL, MOST_DOUBTFUL = 30, 300
+FEW_DOUBTFUL = 3  # number of contacts that may be undecided in the early trials, made if the minimum is likely unique
 # With so many unknowns contacts are tied from the start of the last decades: with fewer the analysis of a further
 # pattern takes as long as smaller matrices save (18^3 1.15, 24^3 1.00, 32^3 0.91 of the time).
 TIED_UNKNOWNS = 30_000
-# Then a contact is tied if its margin is above the first number and changed by less than the second one, a share, in
-# the last step of the path, and if its slip is below this share of the margin. In 32^3 spheres, seed 2, with slips down
+# Then a contact is tied if its margin is above TIED_MARGIN and changed by less than a share TIED_SHARE of itself in the
+# last step of the path, and if its slip is below TIED_SHARE times the margin. In 32^3 spheres, seed 2, with slips down
 # to 5e-15, this ties no slipping contact from a relative gap of 4e-10 on, and three quarters of the others.
 TIED_MARGIN, TIED_SHARE = 1e-2, 1e-2
-TIED_TRIALS = 3  # most trials, in which contacts are untied that the trial before has overloaded
-# Largest torque over the mean friction: below the first, some 1e4 roundings of a force, Newton's method ends; below the
-# second, its end is accepted after its last step all the same.
+TIED_TRIALS = 3  # most of these trials; from one to the next contacts are untied that cannot bear their force
+# Newton's method ends when the largest torque over the mean friction is below NEWTON_TORQUE, some 1e4 roundings of a
+# force; after its last step a torque below ROUNDED_TORQUE is accepted.
 NEWTON_TORQUE, ROUNDED_TORQUE = 1e-12, 1e-4
 NEWTON_TRIALS = 2  # runs of Newton's method; before the second, contacts that have come to rest are tied
-# Most that a Newton step may change a slip, as a share of the slip: if the whole step would not reverse the slip, and
-# if it would.
+# largest change of a slip by a Newton step over the slip, if the whole step does not reverse the slip, and if it does
 MOST_CHANGE_ALONG, MOST_CHANGE_IF_REVERSED = 0.5, 0.95
 RESTING_SHARE = 1e-2  # share of its first slip below which a contact comes to rest if the next step would reverse it
 # Slips above these, over the imposed jump, are surely no rounding: spins known in twice the precision, and in doubles.
@@ -130,10 +131,9 @@ class Resolved:
     dual : (d, n), minus the friction forces.
     slipping : (n,) mask of contacts that slip.
     at_limit : (n,) mask of contacts that do not slip and may bear all their friction all the same.
-    heads : (unknowns,) mask, one spin of each set of spins that slipless contacts tie together, without the sets that
+    heads : (unknowns,) mask of one spin of each set of spins that slipless contacts tie together, without the sets that
         are tied to a driven plane. With these spins held the matrix of the slipless contacts is regular.
-    rest : (unknowns,), what `spins` lack, so that spins + rest is known in twice the precision; None if it is not
-        known.
+    rest : (unknowns,), low parts of the spins in twice the precision, spins + rest; None if these are not known.
     borne : True if forces within friction at the slipless contacts have been found that balance all torques.
     sometimes_slips : (n,) mask of contacts that slip at some minima and rest at others; None if not looked for.
     viscosity : (n,), viscous force over slip speed; None for friction alone.
@@ -158,9 +158,8 @@ class Resolved:
 
     @property
     def sure(self) -> bool:
-        """True if the contact states can be expected to be proven. Two things make it so: forces of the slipless
-        contacts have been found that balance all torques, as for every minimum that :func:`resolve` returns; and the
-        smallest slip is larger than what rounding can make."""
+        """True if the contact states can be expected to be proven: forces of the slipless contacts that balance all
+        torques are known, and the smallest slip is larger than what rounding can make."""
         faintest = LEAST_SLIP_IN_DOUBLES if self.rest is None else LEAST_SLIP_IN_PAIRS
         return self.borne and length(self.difference)[self.slipping].min(initial=np.inf) > faintest
 
@@ -192,8 +191,8 @@ class Surroundings:
 
     @cached_property
     def springs(self) -> NewtonMatrix:
-        """The matrix of springs at the contacts, each of which resists every slip component alike. Large lattices have
-        one of its own: springs couple no different spin components, so that it falls apart into planes, and a
+        """The matrix of springs at the contacts, each of which resists every slip component alike. In large lattices it
+        is a second matrix: springs do not couple different spin components, so that it falls apart into planes, and a
         factorisation takes a hundredth of the time."""
         if not self.has_quick_springs:
             return self.matrix
@@ -235,17 +234,16 @@ def resolve(
     shared : system, order of elimination and Newton matrix of all samples.
     small : True to guess the slipping contacts at first, from how slips and margins changed in the last step of the
         path; that is mostly right in small samples.
-    last : for each sample True to follow its path on (step 4) if the guess does not lead to a sure minimum. False where
-        the caller makes a further trial later; then that is done only where minima may tie, as guesses rarely help
-        there.
+    last : for each sample True to follow its path on if the guess does not lead to a sure minimum. False if the caller
+        makes a further trial later; then the path is followed only where there may be several minima.
     """
     shared.matrix.forget()  # the path is left, mostly for smaller matrices
     with np.errstate(all="ignore"):  # what fails shows up as a number that is not finite and is discarded
-        # Steps 1 to 3: a guess, where minima do not tie; there it is hardly ever right.
+        # Steps 1 to 3: a guess, but not where there may be several minima, as it is hardly ever right there.
         several = [may_have_several_minima(iterate.friction, np.zeros(0, dtype=bool)) for iterate in iterates]
         found = _guessed(iterates, before, [small and not ties for ties in several], shared)
         for number, iterate in enumerate(iterates):
-            # Step 4, for samples without a sure minimum; the guess after it, where it finds nothing.
+            # Step 4, for samples without a sure minimum; where it finds nothing, the guess that was left out before.
             quickly = found[number]
             sure = quickly is not None and quickly.sure
             if not sure and (last[number] or several[number]):
@@ -284,8 +282,8 @@ def _checked(iterate: Iterate, settled: Resolved, shared: Surroundings) -> Resol
     settled : the minimum.
     shared : what all samples share.
 
-    The power of the path is above the least one. So that of a minimum may be above it by rounding only
-    (MOST_ABOVE_PATH), and below it by the gap that the path still had (MOST_BELOW_PATH).
+    The power of the path is above the least power. So the power of a minimum can exceed it by rounding only
+    (MOST_ABOVE_PATH), and be less by the gap of the path (MOST_BELOW_PATH).
     """
     cost = replace(iterate, difference=settled.difference).cost
     if not -MOST_BELOW_PATH < cost / iterate.cost - 1 < MOST_ABOVE_PATH:
@@ -317,8 +315,8 @@ def _clearly_stick(iterate: Iterate, before: Iterate) -> np.ndarray:
     """Return a mask (n,) of contacts that stick, as far as a point before the last decades of the path can tell: with a
     wide margin that stays, and a small slip that falls as fast as the product of both does (TIED_MARGIN, TIED_SHARE).
 
-    A contact with a smaller slip than the product seems to stick, too, but its margin begins to fall as the product
-    comes down to a hundred times its slip.
+    A contact that slips, but by less than a hundredth of the product, seems to stick, too: its margin begins to fall
+    only later.
 
     iterate : the point of the path.
     before : the point one step before.
@@ -356,9 +354,9 @@ def _minimum_along_path(iterate: Iterate, before: Iterate | None, shared: Surrou
     several, as frictions repeat  4      none                                  no contact is undecided
     ============================  =====  ====================================  ===================================
 
-    Tying contacts helps as fewer unknowns are left (at 32^3 a matrix takes a third of the operations or less), and as
-    the stiffness of those that stick blurs the forces of the others. If no states are sure, the minimum of the last
-    trial that has found one is returned.
+    Tying contacts leaves fewer unknowns (at 32^3 a matrix takes a third of the operations or less), and removes the
+    large stiffnesses of contacts that stick, whose rounding hides the forces of the others. If no states are sure, the
+    minimum of the last trial that has found one is returned.
     """
     path, settled = LastDecades.after(iterate, before, shared.matrix), None
     none = np.zeros(len(iterate.friction), dtype=bool)
@@ -388,9 +386,9 @@ def _minimum_along_path(iterate: Iterate, before: Iterate | None, shared: Surrou
 
 
 def _early_minimum(iterate: Iterate, path: LastDecades, shared: Surroundings) -> Resolved | None:
-    """Follow the central path of one sample until all but FEW_DOUBTFUL contacts are decided, to slip or to stick. The
-    others are guessed by the trend. Return the minimum for these states; None if no forces that balance are found, so
-    that the guess may be wrong. This saves the further steps that would decide all contacts.
+    """Follow the central path of one sample until it is decided of all but FEW_DOUBTFUL contacts whether they slip or
+    stick, and guess the others by the trend, which saves steps of the path. Return the minimum for these states; None
+    if no forces that balance are found, so that the guess may be wrong.
 
     iterate : the point from which `path` started.
     path : the point that was reached; it is followed on.
@@ -407,12 +405,12 @@ def _early_minimum(iterate: Iterate, path: LastDecades, shared: Surroundings) ->
 def _minimum_with_few_unknowns(
     iterate: Iterate, path: LastDecades, sticking: np.ndarray, shared: Surroundings
 ) -> Resolved | None:
-    """Return the minimum at the end of the path on which contacts are tied that clearly stick at its start; None if it
-    is not found.
+    """Return the minimum at the end of a path on which contacts are tied that clearly stick at its start; None if it is
+    not found.
 
-    Forces of the tied contacts do not follow the path, and may be far from balance at its end. There they are found by
-    steps with a barrier at the friction limits. A tied contact that turns out to be overloaded slips, by so little that
-    the start of the path did not show it: then it is untied, and the path is followed anew.
+    The path says nothing about forces of the tied contacts, so these are found at its end, by a barrier method. If a
+    tied contact cannot bear its force, it is untied, and the path is followed again: it slips, by so little that the
+    start of the path did not show it.
 
     iterate : the point at which the path was begun.
     path : the point that was reached; not changed.
@@ -447,8 +445,8 @@ def _minimum_with_tied(
     to_the_end : True to follow the path until double precision ends, False until every contact is decided.
     returns : the minimum, None if there is none; (n,) mask of the further contacts that surely stick at the end.
 
-    Forces of slipless contacts are looked for near those at the end of the path. Where there may be several minima, a
-    path with tied contacts can change these forces a lot; then those of `path` are tried as well.
+    Forces of slipless contacts are sought near those at the end of the path. If that fails and there may be several
+    minima, they are sought near those of `path`, as tying contacts can change them a lot then.
     """
     found, later, more_sticking = _smooth_minimum_with_tied(iterate, path, sticking, shared, to_the_end)
     (settled,) = _with_slipless_forces([iterate], [found], [later], shared)
@@ -473,9 +471,9 @@ def _smooth_minimum_with_tied(
     sticking : (n,) mask of the contacts to tie: the spins across each of them are made equal.
     shared : what all samples share.
     to_the_end : True to follow the path until double precision ends, False until it is clear whether contacts slip.
-    doubtful : number of contacts of which that may stay unclear.
+    doubtful : number of contacts for which that may stay unclear.
     returns : the minimum without forces of the slipless contacts, None if there is none; minus the forces (d, n) at the
-        end of the path, of tied contacts those of `path`; (n,) mask of the further contacts that surely stick there.
+        end of the path, for tied contacts those of `path`; (n,) mask of the further contacts that surely stick there.
 
     Letters: n contacts with up to d slip components.
     """
@@ -491,7 +489,7 @@ def _smooth_minimum_with_tied(
     later[:, kept] = rest.point.dual
     spins, order = (tied.expanded(rest.spins), tied.order_of_spins) if tied else (rest.spins, None)
     (found,) = _smooth_minima([iterate], [spins], [slipping], shared, order)
-    if found is not None and at_limit.any():  # as are those that Newton's method has brought to rest
+    if found is not None and at_limit.any():  # so may be contacts that Newton's method has brought to rest
         found = replace(found, at_limit=(at_limit | slipping) & ~found.slipping)
     return found, later, more_sticking
 
@@ -509,11 +507,11 @@ def _with_slipless_forces(
 
     iterates : for each sample a point of the central path, of which only the friction limits are used.
     minima : for each sample its minimum or None.
-    near : for each sample minus the forces (d, n) of n contacts with up to d slip components; the forces that are
-        looked for are sought close to these.
+    near : for each sample minus the forces (d, n) of n contacts with up to d slip components, near which forces are
+        sought.
     shared : what all samples share: contacts and Newton matrix.
-    persists : True to look for such forces by a barrier as well, where balancing by springs finds none and no slipless
-        contact may bear all its friction.
+    persists : True to use a barrier method as well, where springs balance no forces and no slipless contact may bear
+        all its friction.
     """
     settled: list[Resolved | None] = [None] * len(minima)
     some = [(number, found) for number, found in enumerate(minima) if found is not None]
@@ -551,8 +549,8 @@ def _smooth_minima(
     spins : for each sample (unknowns,) the spins to begin with, as sums of two doubles.
     masks : for each sample the mask (n,) of the contacts that may slip; None for a sample that is left out.
     shared : what all samples share.
-    order : (unknowns,), an order in which spins are eliminated where nearly the same contacts are tied; None for that
-        of the lattice.
+    order : (unknowns,), order in which spins are eliminated, made for nearly the same tied contacts; None for that of
+        the lattice.
     """
     found: list[Resolved | None] = [None] * len(iterates)
     slipping = [mask for mask in masks if mask is not None]
@@ -580,7 +578,7 @@ class _SmoothPower:
     is held at zero, and all spins that they join become one unknown. The power of the other contacts, `kept` in number
     in all samples together, is a smooth function of the unknowns that are left.
 
-    iterates : for each sample a point of the central path, which knows its friction limits and viscosities.
+    iterates : for each sample a point of the central path, of which friction limits and viscosities are used.
     samples : number of samples.
     slipping : for each sample a mask (n,) of its n contacts, True for those that are left. That may be fewer than were
         asked for, as tied contacts can keep others from slipping.
@@ -588,7 +586,7 @@ class _SmoothPower:
     matrix : second derivative of the power by these unknowns, factorised sample by sample.
     friction : (kept,), friction limits, all samples one after the other.
     viscosity : (kept,), viscosities; None if there are none.
-    spins : (unknowns left,), the spins reached so far, as a pair of arrays of which the sum is meant.
+    spins : (unknowns left,), the spins reached so far, as sums of two doubles.
     difference : (d, kept), the slips at these spins; a contact has up to d components.
     balanced : (samples,) mask of the samples in which all torques balance: they have come to the minimum.
     """
@@ -606,9 +604,8 @@ class _SmoothPower:
         iterates : for each sample a point of the central path, of which friction limits and viscosities are used.
         slipping : for each sample a mask (n,) of its n contacts: those that may slip. All others are tied.
         shared : what all samples share: system of contacts, order of elimination, Newton matrix.
-        order : (unknowns,), an order that suits the tied contacts; None for that of all samples.
+        order : (unknowns,), order of elimination made for nearly the same tied contacts; None for that of all samples.
         """
-        # `tied.kept` : (kept,), indices of the contacts that are left, all samples one after the other
         self.iterates, self.samples, whole = iterates, len(iterates), shared.copies(len(iterates))
         suits, order = order is not None, shared.order if order is None else order
         self.tied = Contraction(whole, order, ~np.concatenate(slipping), self.samples, suits)
@@ -619,8 +616,7 @@ class _SmoothPower:
         viscosity = [iterate.viscosity for iterate in iterates if iterate.viscosity is not None]
         self.viscosity = np.concatenate(viscosity)[self.tied.kept] if viscosity else None
         self.balanced = np.zeros(self.samples, dtype=bool)
-        # set by `descend` : the spins (unknowns left,) as a pair of arrays to be added; and the slips (d, kept) there,
-        # with d slip components
+        # set by `descend`
         self.spins: Pair
         self.difference: np.ndarray
 
@@ -629,9 +625,9 @@ class _SmoothPower:
         reversed.
 
         spins : where to begin, (samples * unknowns,) single spins, as sums of two doubles; tied ones get their mean.
-        returns : (kept,) mask of those of the `kept` contacts that come to rest and have to be tied, too: they did not
-            slip to begin with, or the next step would reverse their small slip. Samples with such contacts, and those
-            in which the method fails, end unbalanced.
+        returns : (kept,) mask of contacts that come to rest and have to be tied, too: they did not slip at the
+            beginning, or the next step would reverse their small slip. Samples with such contacts, and samples in which
+            the method fails, are not `balanced`.
         """
         system, owners, self.spins = self.tied.system, self.tied.owners, self.tied.contracted(spins)
         self.difference = self.tied.differences(self.spins)
@@ -667,21 +663,20 @@ class _SmoothPower:
 
     @property
     def dual(self) -> np.ndarray:
-        """(d, kept), minus the friction forces on the contacts that are left, `kept` in number: the full friction of
-        each, along its slip. Letters: d slip components."""
+        """(d, kept), minus the friction forces of the contacts that are left: the full friction of each, along its
+        slip, which has up to d components."""
         found: np.ndarray = -self.friction * self.difference / length(self.difference)
         return found
 
     def resolved(self) -> list[Resolved | None]:
-        """Return the minimum of each sample: None where torques do not balance; in twice the precision where that is
-        reached, else in doubles.
-        """
+        """Return the minimum of each sample, in twice the precision where that is reached, else in doubles; None where
+        torques do not balance."""
         if not self.balanced.any():
             return [None] * self.samples
         (spins, rest), difference, dual, fine = polished(
             self.tied, self.matrix, (self.friction, self.viscosity), self.spins, self.balanced
         )
-        # the minima in twice the precision; in doubles, for samples that are not `fine`: where that was not reached
+        # minima in twice the precision; and in doubles, if that was not reached in some sample
         rests = np.split(rest, self.samples)
         precise, rough = self._as_minima(spins, rests, difference, dual), []
         if not fine[self.balanced].all():
@@ -693,13 +688,11 @@ class _SmoothPower:
     def _as_minima(
         self, spins: np.ndarray, rests: Sequence[np.ndarray | None], difference: np.ndarray, dual: np.ndarray
     ) -> list[Resolved]:
-        """Return the :class:`Resolved` minimum of each sample, with arrays over all its spins and contacts. A contact
-        is tied if its two ends have been made to turn as one; `kept` contacts are not tied.
+        """Return the minimum of each sample, with arrays over all its spins and contacts.
 
-        spins : (samples * unknowns,), all spins of the free spheres, sample after sample. Spins that ties make equal
-            stand there once for each sphere.
-        rests : for each sample (unknowns,), rounding errors of `spins`: both added are the spins in twice the
-            precision. None where they are not known.
+        spins : (samples * unknowns,), all spins of the free spheres, sample after sample.
+        rests : for each sample (unknowns,), low parts of the spins in twice the precision, spins + rests; None where
+            they are not known.
         difference : (d, kept), slips with d components, sample after sample.
         dual : (d, kept), minus the friction forces, sample after sample.
         """
@@ -710,11 +703,10 @@ class _SmoothPower:
         return [replace(of, viscosity=iterate.viscosity) for of, iterate in zip(found, self.iterates, strict=True)]
 
     def everywhere(self, values: np.ndarray) -> list[np.ndarray]:
-        """Spread values of the contacts that can slip over all contacts. Return a list with an array (..., n) for each
-        sample, which has one value for each of its n contacts. It is 0 at those that cannot slip because contacts are
-        tied, that is, their two ends are made to turn as one.
+        """Return values of the contacts that are left as arrays over all contacts: for each sample an array (..., n),
+        which is 0 at contacts that are not left.
 
-        values : (..., K), for the K contacts of all samples that can slip, sample after sample.
+        values : (..., kept), values of the contacts that are left, sample after sample.
         """
         found = np.zeros((*values.shape[:-1], self.tied.whole.offset.shape[1]), values.dtype)
         found[..., self.tied.kept] = values

@@ -1,12 +1,12 @@
-"""Can the contacts that do not slip bear what the slipping ones leave to them?
+"""Finds forces of the contacts that do not slip, within friction, that balance the friction of the slipping ones.
 
-Slipping contacts have all their friction mu F_n along their slip, and so exert torques. The slipless ones can balance
-these with forces inside their friction discs, |force| <= mu F_n, unless some motion of the spheres gains more from the
-torques than friction at the slipless contacts takes from it (Farkas' lemma). Near the end of the central path its
-forces nearly do so. Changing each force a little, in proportion to the square of its room, puts them in balance; the
-room of a contact is mu F_n less the size of its force. Where a force would leave its disc that way, the change goes
-part of the way and is computed anew. If that does not help, small samples try springs with the stiffness of a barrier
-at the friction limits, with which a change goes further. Where no forces are found, the caller follows the path on.
+Slipping contacts have all their friction mu F_n along their slip, and so exert torques. Slipless contacts can balance
+these with forces |f| <= mu F_n, unless in some motion of the spheres the torques do more work than friction at the
+slipless contacts can take up (Farkas' lemma). Near the end of the central path its forces nearly balance. They are
+changed by the forces of fictitious springs at the contacts, whose stiffness is the square of the *room* mu F_n - |f|,
+until all torques balance. If a force would exceed its limit, the change goes part of the way and is computed anew. If
+that fails, small samples try springs with the stiffness of a barrier at the friction limits, with which a change goes
+further. Where no forces are found, the caller follows the path on.
 
 Letters: n contacts with up to d slip components. "dual" is minus the force.
 """
@@ -25,21 +25,21 @@ from taichi_bearings.numerics.graphs import pieces
 LEFT_TORQUE = 1e-10  # torque over the mean friction that may be left: some 1e6 roundings of a force
 # least room over the sum of all torques left; no force has to change by more than that sum to balance them
 MARGIN_PER_TORQUE = 10.0
-# for contacts at their limit, over the friction: room that they are given where forces are balanced, and how far below
-# the limit a force may be and is still set to the limit
+# For contacts at their limit, over the friction: least room by which the stiffness of their springs is computed; and
+# the distance from the limit within which a force is set to the limit.
 ROOM_AT_LIMIT, HELD_AT_LIMIT = 1e-5, 1e-9
 NOISE_ACROSS = 5e-5  # component of a force at its limit, over the other, that may be noise: above HELD_AT_LIMIT ** 0.5
-# number of balances; share of the way to the first limit that all but the last go; share of the whole way below which
-# it is given up (found by trial; if no forces are found, the caller tries other states)
+# Most balances, each a change of all forces to balance. If a force would exceed its limit, a balance goes SHARE_OF_WAY
+# of the way to the first limit; below the share LEAST_REACH of the whole way the search ends (found by trial).
 MOST_BALANCES, SHARE_OF_WAY, LEAST_REACH = 20, 0.9, 1e-2
-MOST_CUTS = 60  # number of times that forces are cut to their limits and balanced again, after the last balance
-BALANCED_TORQUE = 1e-14  # torque over the mean friction that needs no further cut
+MOST_CUTS = 60  # times that forces are reduced to their limits and balanced again, after the last balance
+BALANCED_TORQUE = 1e-14  # torque over the mean friction at which that ends
 MOST_INSIDE_STEPS = 20  # most steps of the search for balanced forces with a barrier; at 32^3 they take 3 to 5
-# share of the whole way of such a step below which samples side by side are given up: of 14 in which it succeeded at
-# 10^3 none had a smaller one than 0.39, of 6 others all came below 0.15
+# Share of the whole way of such a step below which a sample is given up: at 10^3 spheres 14 samples in which the search
+# succeeded had no smaller share than 0.39, 6 others came below 0.15.
 LEAST_REACH_INSIDE = 0.2
-# a contact is overloaded if it allows less than this times the way that the whole of its cluster goes, where that way
-# ends before torques balance
+# A contact is overloaded if the step of its cluster ends before torques balance, and its own limit allows less than
+# OVERLOADED_FACTOR times that step.
 OVERLOADED_FACTOR = 10.0
 TINY = np.finfo(np.float64).tiny
 
@@ -54,8 +54,8 @@ def nearly_borne(
     at_limit: np.ndarray,
     heads: Sequence[np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return forces near the given ones that balance all torques: those of slipping contacts stay, those of slipless
-    contacts change a little, and are to stay within friction.
+    """Return forces near the given ones that balance all torques. Forces of slipping contacts stay; those of slipless
+    contacts change, and have to stay within friction.
 
     system : the contacts of one sample.
     matrix : matrix of springs at them (`Surroundings.springs`), which is factorised anew.
@@ -63,30 +63,30 @@ def nearly_borne(
     dual : (d, samples * n), minus the forces; those of slipless contacts nearly balance the others.
     slipping : (samples * n,) mask of contacts that slip.
     at_limit : (samples * n,) mask of contacts that rest and yet may bear all their friction.
-    heads : for each sample a mask (unknowns,): one spin of each set of spins that slipless contacts join to each other,
-        but to no driven plane. It is held, so that the matrix is regular.
+    heads : for each sample a mask (unknowns,) of one spin of each set of spins that slipless contacts join to each
+        other, but to no driven plane. It is held by a further spring, so that the matrix is regular.
     returns : minus the forces (d, samples * n), in balance; mask (samples,) of the samples in which none of them
         exceeds friction.
 
     Letters: n contacts with up to d slip components.
     """
-    samples, side = len(heads), _side_by_side(dual, len(heads))
-    limit = _side_by_side(np.where(at_limit, friction, np.inf), samples) if at_limit.any() else None
-    side = side if limit is None else _without_noise(side, limit)
-    still = np.stack(heads, axis=1).astype(float)  # a spring for each such set makes the matrix regular, unstretched
+    samples, duals = len(heads), _samples_last(dual, len(heads))
+    limit = _samples_last(np.where(at_limit, friction, np.inf), samples) if at_limit.any() else None
+    duals = duals if limit is None else _without_noise(duals, limit)
+    held_spins = np.stack(heads, axis=1).astype(float)  # springs at the heads; none is stretched
     found, going = np.zeros(samples, dtype=bool), np.ones(samples, dtype=bool)
     held = at_limit.reshape(samples, -1).any(axis=1)
     for _ in range(MOST_BALANCES):
-        here = _one_by_one(side)
+        here = _samples_joined(duals)
         least = np.where(at_limit, ROOM_AT_LIMIT * friction, 0.0)
-        # Springs as stiff as the room squared take the torques away; how far may forces go that way?
+        # Balance with springs as stiff as the room squared, and the largest share of that change within all limits.
         room = np.where(slipping, 0.0, np.maximum(friction - length(here), least))
-        springs = _side_by_side(room**2, samples)
-        going = going & matrix.factorise_springs(springs, still)
-        balanced = side
+        springs = _samples_last(room**2, samples)
+        going = going & matrix.factorise_springs(springs, held_spins)
+        balanced = duals
         for _ in range(REFINEMENTS):  # as in NewtonMatrix.balanced
             balanced = _balanced(system, matrix, _cut(balanced, limit), springs, going)[0]
-        reach = _reach(friction, here, _one_by_one(balanced), slipping | at_limit, samples)
+        reach = _reach(friction, here, _samples_joined(balanced), slipping | at_limit, samples)
         ended = going & (reach > 1)
         going = going & (reach > LEAST_REACH)
         if (going & ~ended).any():
@@ -95,13 +95,13 @@ def nearly_borne(
         if limit is not None and (cut := ended & held).any():
             balanced = _cut_and_balanced(system, matrix, balanced, springs, limit, cut)
         found |= ended
-        # Go all of the way where no limit is reached, else most of the way to the first limit.
+        # Change forces by all of that if no limit is reached, else go most of the way to the first limit.
         share = np.where(going & (reach <= 1), SHARE_OF_WAY * reach, 1.0)
-        side, going = np.where(going, _towards(side, balanced, share), side), going & ~found
+        duals, going = np.where(going, _towards(duals, balanced, share), duals), going & ~found
         if not going.any():
             break
-    whole = _one_by_one(side)
-    return whole, found & _inside(friction, whole, slipping | at_limit, system.torques(side))
+    whole = _samples_joined(duals)
+    return whole, found & _inside(friction, whole, slipping | at_limit, system.torques(duals))
 
 
 @np.errstate(all="ignore")
@@ -114,8 +114,11 @@ def balanced_by_barrier(
     heads: Sequence[np.ndarray],
     going: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return forces that balance all torques, as :func:`nearly_borne` does, by springs with which a step goes further:
-    those of the barrier of :func:`balanced_inside`. No contact may bear all its friction without slipping.
+    """Return forces near the given ones that balance all torques. Forces of slipping contacts stay; those of slipless
+    contacts change, and have to stay within friction; none may be at its limit.
+
+    The stiffness of the spring at each contact is the inverse second derivative of the barrier -log(friction^2 -
+    |force|^2). With it a step goes further than with the springs of :func:`nearly_borne`.
 
     system : the contacts of one sample.
     matrix : their Newton matrix, which is factorised anew.
@@ -123,38 +126,38 @@ def balanced_by_barrier(
     dual : (d, samples * n), minus the forces; those of slipless contacts are within friction and nearly balance the
         others.
     slipping : (samples * n,) mask of contacts that slip.
-    heads : for each sample a mask (unknowns,), as in :func:`nearly_borne`.
-    going : (samples,) mask of the samples whose forces are looked for.
-    returns : minus the forces (d, samples * n), those of slipping contacts as given; mask (samples,) of the samples in
-        which all torques balance and none of the forces exceeds friction.
+    heads : for each sample a mask (unknowns,) of spins that are held, as in :func:`nearly_borne`.
+    going : (samples,) mask of the samples whose forces are sought.
+    returns : minus the forces (d, samples * n); mask (samples,) of the samples in which all torques balance and none of
+        the forces exceeds friction.
 
     Letters: n contacts with up to d slip components.
     """
-    samples, side = len(heads), _side_by_side(dual, len(heads))
-    limit, slips = (_side_by_side(of, samples).ravel() for of in (friction, slipping))
-    still, found = np.stack(heads, axis=1).astype(float), np.zeros(samples, dtype=bool)
+    samples, duals = len(heads), _samples_last(dual, len(heads))
+    limit, slips = (_samples_last(of, samples).ravel() for of in (friction, slipping))
+    held_spins, found = np.stack(heads, axis=1).astype(float), np.zeros(samples, dtype=bool)
     for _ in range(MOST_INSIDE_STEPS):
-        here = side.reshape(len(side), -1)
+        here = duals.reshape(len(duals), -1)
         stiffness = np.where(slips, 0.0, _stiffness_inside(limit, here))
-        going = going & matrix.factorise_each(stiffness.reshape(*stiffness.shape[:2], -1, samples), going, still)
-        balanced = side
+        going = going & matrix.factorise_each(stiffness.reshape(*stiffness.shape[:2], -1, samples), going, held_spins)
+        balanced = duals
         for _ in range(REFINEMENTS):  # as in NewtonMatrix.stretched
             change = system.change(matrix.solve(system.torques(balanced))).reshape(here.shape)
-            balanced = balanced - resisted(stiffness, change).reshape(side.shape)
-        reach = _reach(friction, _one_by_one(side), _one_by_one(balanced), slipping, samples)
+            balanced = balanced - resisted(stiffness, change).reshape(duals.shape)
+        reach = _reach(friction, _samples_joined(duals), _samples_joined(balanced), slipping, samples)
         share = np.where(reach > 1, 1.0, SHARE_OF_WAY * reach)
-        side = np.where(going, _towards(side, balanced, share), side)
+        duals = np.where(going, _towards(duals, balanced, share), duals)
         found |= going & (reach > 1)
         going = going & (reach <= 1) & (reach > LEAST_REACH_INSIDE)
         if not going.any():
             break
-    whole = _one_by_one(side)
-    return whole, found & _inside(friction, whole, slipping, system.torques(side))
+    whole = _samples_joined(duals)
+    return whole, found & _inside(friction, whole, slipping, system.torques(duals))
 
 
 def _stiffness_inside(limit: np.ndarray, inside: np.ndarray) -> np.ndarray:
-    """Return the stiffness matrices (d, d, n) of springs at n contacts: the inverse second derivatives of the barrier
-    -log(limit^2 - |force|^2), by the force, up to a factor that is the same for all.
+    """Return the stiffness matrices (d, d, n) of springs at n contacts: inverse second derivatives of the barrier
+    -log(limit^2 - |force|^2) with respect to the force.
 
     limit : (n,), friction limits.
     inside : (d, n), minus the forces, within friction, with up to d slip components.
@@ -175,15 +178,15 @@ def balanced_inside(
     heads: np.ndarray,
 ) -> tuple[np.ndarray | None, np.ndarray]:
     """Return minus the forces (d, n) of one sample that balance all torques, where those of slipping contacts stay and
-    the others are within friction; None if they are not found. Return also a mask (n,) of the overloaded contacts,
-    because of which they are not found.
+    the others are within friction; None if none are found. Return also a mask (n,) of the overloaded contacts, whose
+    limits are the reason if none are found.
 
     The stiffness of the spring at each contact is the inverse second derivative of the barrier -log(friction^2 -
-    |force|^2): along a force close to its limit it is far smaller than across it. So a step goes further than one with
-    the springs of :func:`nearly_borne`. The matrix couples spins at slipless contacts only, which takes a thousandth of
-    the operations of a Newton step: 0.06 instead of 108 billion at 48^3. It falls apart into clusters of spheres that
-    slipless contacts join, and in each cluster a step goes as far as its own contacts allow. So a cluster in which no
-    forces balance holds up no other; the contacts that end its step at nearly nothing are the overloaded ones.
+    |force|^2): along a force close to its limit it is far smaller than across it, so that steps go far. The matrix
+    couples spins at slipless contacts only, which takes a thousandth of the operations of a Newton step: 0.06 instead
+    of 108 billion at 48^3. It falls apart into clusters of spheres that slipless contacts join. In each cluster a step
+    goes as far as the contacts of the cluster allow, so that a cluster in which no forces balance does not stop others;
+    the contacts at which its steps end are the overloaded ones.
 
     system : the n contacts, whose slips are differences of two unknowns.
     order : (unknowns,), order in which the unknowns are eliminated.
@@ -250,8 +253,8 @@ def _clusters(system: ContactSystem) -> np.ndarray:
 
 
 def may_have_several_minima(friction: np.ndarray, at_limit: np.ndarray) -> bool:
-    """Return True where there may be several minima, as sums of friction forces can be equal by chance: contacts rest
-    at their limit, or fewer than half of the frictions are different.
+    """Return True if there may be several minima: if contacts rest at their limit, or if frictions repeat, so that
+    fewer than half of them are different and sums of them can be equal.
 
     friction : (n,), largest friction force of each contact.
     at_limit : (n,) mask of contacts that rest and may bear all their friction.
@@ -271,7 +274,7 @@ def _towards(here: np.ndarray, there: np.ndarray, share: np.ndarray) -> np.ndarr
 
 
 def _without_noise(dual: np.ndarray, limit: np.ndarray) -> np.ndarray:
-    """Return minus the forces (d, n, samples), without noise at contacts that bear all their friction. If such a force
+    """Return minus the forces (d, n, samples), without noise at contacts that bear all their friction: if such a force
     is nearly along one component, the other component is set to 0. (That component falls only like the root of the
     friction that is left, so it is still large when the force is practically at its limit.)
 
@@ -298,51 +301,51 @@ def _at_limit(dual: np.ndarray, limit: np.ndarray) -> np.ndarray:
 
 
 def _balanced(
-    system: ContactSystem, matrix: NewtonMatrix, side: np.ndarray, springs: np.ndarray, going: np.ndarray
+    system: ContactSystem, matrix: NewtonMatrix, duals: np.ndarray, springs: np.ndarray, going: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return minus the forces, (d, n, samples), after forces of fictitious springs at the contacts are added that
-    balance all torques; and the largest torque (samples,) before.
+    """Return minus the forces, (d, n, samples), with forces of fictitious springs at the contacts added that balance
+    all torques; and the largest torque (samples,) before that.
 
     system : the contacts of one sample.
     matrix : their Newton matrix with the stiffnesses of the springs, factorised.
-    side : minus the forces before, (d, n, samples).
+    duals : minus the forces before, (d, n, samples).
     springs : (n, samples), stiffnesses of the springs.
     going : (samples,) mask of samples to change.
 
     Letters: n contacts with up to d slip components.
     """
-    torques = system.torques(side)
-    nearer = side - springs * system.change(matrix.solve(torques))
-    return np.where(going, nearer, side), np.abs(torques).max(axis=0, initial=0.0)
+    torques = system.torques(duals)
+    nearer = duals - springs * system.change(matrix.solve(torques))
+    return np.where(going, nearer, duals), np.abs(torques).max(axis=0, initial=0.0)
 
 
 def _cut_and_balanced(
     system: ContactSystem,
     matrix: NewtonMatrix,
-    side: np.ndarray,
+    duals: np.ndarray,
     springs: np.ndarray,
     limit: np.ndarray,
     going: np.ndarray,
 ) -> np.ndarray:
-    """Return minus the forces (d, n, samples), none beyond its limit. In turn they are cut to their limits and balanced
-    by fictitious springs at the contacts, as long as that reduces the torques.
+    """Return minus the forces (d, n, samples), none beyond its limit. Forces are alternately reduced to their limits
+    and balanced by fictitious springs at the contacts, as long as that reduces the torques.
 
     system : the contacts of one sample.
     matrix : their Newton matrix with the stiffnesses of the springs, factorised.
-    side : minus the forces (d, n, samples), with up to d slip components.
-    springs : (n, samples), stiffnesses of the springs that take torques away.
+    duals : minus the forces (d, n, samples), with up to d slip components.
+    springs : (n, samples), stiffnesses of the springs.
     limit : (n, samples), friction of the n contacts that may rest at their limit, infinite for others.
     going : (samples,) mask of samples to change.
     """
     last = np.full(len(going), np.inf)
     for _ in range(MOST_CUTS):
-        cut = _cut(side, limit)
+        cut = _cut(duals, limit)
         nearer, left = _balanced(system, matrix, cut, springs, going)
         going = going & (left < last) & (left > BALANCED_TORQUE)
         if not going.any():
             break
-        side, last = np.where(going, nearer, side), left
-    return _cut(side, limit)
+        duals, last = np.where(going, nearer, duals), left
+    return _cut(duals, limit)
 
 
 def _cut(dual: np.ndarray, limit: np.ndarray | None) -> np.ndarray:
@@ -380,6 +383,7 @@ def _factors(friction: np.ndarray, here: np.ndarray, there: np.ndarray) -> np.nd
     friction : (n,), friction limits.
     here, there : (d, n), minus the forces at both ends of the way, with up to d components.
     """
+    # the positive root x of square * x^2 + 2 slope * x = room, where room = friction^2 - |here|^2
     change = there - here
     square, slope, room = inner(change, change), inner(here, change), determinant((friction, here))
     found: np.ndarray = room / np.maximum(slope + np.sqrt(np.maximum(slope**2 + square * room, 0.0)), TINY)
@@ -387,9 +391,9 @@ def _factors(friction: np.ndarray, here: np.ndarray, there: np.ndarray) -> np.nd
 
 
 def _inside(friction: np.ndarray, dual: np.ndarray, slipping: np.ndarray, torques: np.ndarray) -> np.ndarray:
-    """Return a mask (samples,), True where forces that balance surely exist near the given ones: the torques that are
-    left are small, and at all slipless contacts friction exceeds the force by more than MARGIN_PER_TORQUE times the sum
-    of all torques.
+    """Return a mask (samples,), True where forces within friction surely exist near the given ones that balance
+    exactly: the torques that are left are small, and at all slipless contacts friction exceeds the force by more than
+    MARGIN_PER_TORQUE times the sum of all torques.
 
     friction : (samples * n,), friction limit of each of n contacts, sample after sample.
     dual : (d, samples * n), minus the forces, with up to d components.
@@ -404,13 +408,12 @@ def _inside(friction: np.ndarray, dual: np.ndarray, slipping: np.ndarray, torque
     return found
 
 
-def _side_by_side(values: np.ndarray, samples: int) -> np.ndarray:
-    """Return an array (..., n, samples) from values (..., samples * n) of samples one after the other. Letters: n
-    contacts."""
+def _samples_last(values: np.ndarray, samples: int) -> np.ndarray:
+    """Return values (..., samples * n) of n contacts, sample after sample, as an array (..., n, samples)."""
     return np.ascontiguousarray(np.swapaxes(values.reshape(*values.shape[:-1], samples, -1), -2, -1))
 
 
-def _one_by_one(values: np.ndarray) -> np.ndarray:
-    """Return an array (..., samples * n) from values (..., n, samples): the inverse of :func:`_side_by_side`. Letters:
-    n contacts."""
+def _samples_joined(values: np.ndarray) -> np.ndarray:
+    """Return values (..., n, samples) of n contacts as an array (..., samples * n), sample after sample: the inverse of
+    :func:`_samples_last`."""
     return np.swapaxes(values, -2, -1).reshape(*values.shape[:-2], -1)

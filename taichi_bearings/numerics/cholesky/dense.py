@@ -1,12 +1,12 @@
-"""Eliminates the own unknowns of one dense front with LAPACK and BLAS, on several threads.
+"""Eliminates the own unknowns of dense fronts with LAPACK and BLAS, on several threads.
 
 A front is a dense symmetric matrix: rows of its own unknowns first, then rows of its border, the later unknowns that
 they are coupled to. Elimination factorises the own columns and subtracts their product from the border's block, which
-is called the update. Own columns are worked on in panels, the update in sheets, some columns at a time each.
+is called the update. Own columns are divided into panels, the update into sheets, each of some columns.
 
 SciPy exports the routines for use from compiled code (scipy.linalg.cython_blas). Called through ctypes they release the
-interpreter lock, so that independent fronts can be worked on side by side. The library's own threads are of no use
-here: most fronts are small, and a thread that waits for a busy processor holds up every call.
+interpreter lock, so that several threads can eliminate independent fronts at the same time. The library's own threads
+are of no use here: most fronts are small, and a thread that waits for a busy processor delays every call.
 """
 
 import ctypes
@@ -49,14 +49,13 @@ def _count(number: int) -> Any:
 class Task:
     """A piece of work on a front (a dense block of the sparse matrix) that one thread can do.
 
-    urgency : 0 for a panel (some own columns of a large front), 1 for a sheet (some columns of what its elimination
-        leaves for later unknowns), 2 for a whole small front. Tasks with the smallest number are begun first.
+    urgency : 0 for a panel (some own columns of a large front), 1 for a sheet (some columns of its update, the block of
+        later unknowns), 2 for a whole small front. Tasks with the smallest number are begun first.
     position : order of tasks of the same urgency, smallest first. For a panel its number in the front, so that the
         panels of several fronts alternate; otherwise minus the operations of its front, so that the largest come first.
     work : does the task; returns False if a pivot is not positive or the elimination was stopped.
 
-    Panels come first since other tasks wait for them; small fronts, for which nothing waits, fill idle threads at the
-    end.
+    Panels come first since other tasks wait for them; small fronts come last since no task waits for them.
     """
 
     urgency: int
@@ -73,9 +72,9 @@ class DenseFront:
     """Elimination of one front, a dense symmetric matrix whose own unknowns come first and then the unknowns of its
     border: factorises the own columns, and subtracts their product from the update, the block of the border.
 
-    Own columns are worked on in panels of some columns: each subtracts the product of the panels before it, and is then
-    divided by its diagonal block. The update is worked on in sheets of some columns. So several threads can share a
-    front, and no call lasts long.
+    Own columns are divided into panels of some columns: the product of the panels before it is subtracted from each,
+    which is then divided by its diagonal block. The update is divided into sheets of some columns. So several threads
+    can share a front, and no call lasts long.
 
     cost : operations of the elimination.
     """
@@ -90,7 +89,6 @@ class DenseFront:
         columns : address of the first diagonal entry of the own columns; only their lower triangle is used.
         update : address of the first diagonal entry of the update; only its lower triangle is used.
         """
-        # `cost` : operations of the elimination
         # `_fault` : set by LAPACK to a number other than 0 at a pivot that is not positive
         # `_stopped` : True once the elimination is given up
         self.cost = own**3 / 3 + own**2 * border + own * border**2
@@ -121,8 +119,7 @@ class DenseFront:
         return tasks + [Task(1, -self.cost, partial(self._work, calls)) for calls in self._sheets]
 
     def get_ready(self) -> None:
-        """Make the front ready to be eliminated again, before its tasks are begun: no panel (group of own columns)
-        counts as done."""
+        """Prepare a further elimination, before its tasks are begun: no panel (group of own columns) counts as done."""
         self._stopped = False
         for done in self._done:
             done.clear()

@@ -1,4 +1,5 @@
-"""Cholesky factorisation of one matrix, or of several of one pattern, by whatever is quickest for their size.
+"""Cholesky factorisation of one matrix, or of several matrices with one pattern of entries, in the way that is quickest
+for their size.
 
 S is the number of samples: matrices of one pattern that are factorised together. Kernels work on LANES of them at a
 time, one in each lane of a SIMD vector.
@@ -68,7 +69,7 @@ class Memory:
 
     def __init__(self) -> None:
         """Begin with no memory."""
-        # `_users` : the factorisations that have taken the memory; they let go of it when it is freed
+        # `_users` : the factorisations that have taken the memory; their method `let_go` is called when it is freed
         self._numbers, self._users, self.changes = np.zeros(0), WeakSet[CalledFactor](), 0
 
     def free(self) -> None:
@@ -335,7 +336,7 @@ class CalledFactor(Factor):
         self._layout, self._memory, self._size = Layout(pattern, LANES, apart=True), memory, pattern.size
         self.entries, self._vector = np.zeros((pattern.entries, 1)), _vectors(self._layout.vector, 1)
         self.solution = self._vector[: pattern.size]
-        # the factor's doubles; by batch, the work of elimination; calls of both halves of substitution, in turn
+        # numbers of the factor; the batches of the elimination; the calls of a substitution, forward then backward
         self._numbers, self._work, self._halves = np.zeros(0), list[_BatchWork](), list[Callable[[], None]]()
         self._seen = -1  # `changes` of the memory when this factor took it
 
@@ -350,13 +351,13 @@ class CalledFactor(Factor):
                 return np.zeros(1, dtype=bool)
         called = self._layout.called_pivots
         inverse = 1 / self._numbers[called]
-        self._numbers[called] = inverse  # as kernels leave them, and substitutions want them
-        # what is not finite in a branch makes a pivot of each front above it so
+        self._numbers[called] = inverse  # as kernels write them, and substitutions read them
+        # a number that is not finite in a branch makes a pivot of each front above it not finite
         return np.array([np.isfinite(inverse).all() and np.isfinite(self._numbers[self._layout.last_pivots]).all()])
 
     def _take_memory(self) -> None:
-        """Take the shared memory, unless this factor still holds it, and prepare in it all calls of elimination and
-        substitution."""
+        """Take the shared memory, unless this factor still has it, and prepare all calls of elimination and
+        substitution with addresses in it."""
         if self._seen == self._memory.changes:
             return
         layout, numbers = self._layout, self._taken_memory()
@@ -388,8 +389,8 @@ class CalledFactor(Factor):
         return self._memory.take(self, self._layout.size, f"the factorisation of {self._size:,} unknowns")
 
     def reserve(self) -> None:
-        """Take the shared memory for the first factorisation, and let a thread of its own have the system provide it,
-        which takes as long as a factorisation. Nothing happens where there is too little memory."""
+        """Take the shared memory for the first factorisation, and touch it in a separate thread, so that the system
+        provides it; that takes as long as a factorisation. Nothing happens if there is too little memory."""
         with suppress(MemoryError):
             Thread(target=provide, args=(self._taken_memory(),), daemon=True).start()
 
@@ -421,8 +422,8 @@ def _vectors(count: int, lanes: int) -> np.ndarray:
 
 
 class _BatchWork:
-    """A batch of fronts that are worked on at once, and the tasks that eliminate them. A front is a dense block of a
-    sparse matrix: unknowns that are eliminated together, and the later ones that they are coupled to.
+    """A batch of independent fronts, and the tasks that eliminate them. A front is a dense block of a sparse matrix:
+    unknowns that are eliminated together, and the later ones that they are coupled to.
 
     assemble : fills the fronts from the entries of the matrix and the updates of the fronts below.
     """

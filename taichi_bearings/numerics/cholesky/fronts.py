@@ -1,12 +1,13 @@
-"""Symbolic factorisation: which rows each part of the elimination tree touches.
+"""Symbolic factorisation: divides the unknowns of a sparse matrix into fronts, and finds which rows each front has.
 
-Multifrontal method (Duff & Reid 1983; Liu 1992). The front of a part has its own unknowns first and then its border:
+Multifrontal method (Duff & Reid 1983; Liu 1992). The elimination tree is divided into *parts*, sets of unknowns that
+are eliminated together in a dense matrix, the *front*. It has the own unknowns of the part first and then its border:
 the later unknowns that its subtree is coupled to. Eliminating the own unknowns leaves an update of the border, which is
-added into the front of the parent. Fronts of one depth do not depend on each other.
+added to the front of the parent. Fronts of one depth do not depend on each other.
 
-Columns of the factor that have the same rows make up a part, a dense block. Few have quite the same: blocks are joined
-if the zeros that are then stored cost less than the calls and copies that are saved (relaxed supernodes: Ashcraft &
-Grimes, TOMS 1989). The planes of a dissection, each as a block of its own, would be a quarter to almost half zeros.
+Columns of the factor with the same rows make up a part. As few have exactly the same rows, parts are joined if the
+zeros that are then stored cost less than the calls and copies that are saved (relaxed supernodes: Ashcraft & Grimes,
+TOMS 1989). If each plane of a dissection were a part, a quarter to almost half of the numbers would be zeros.
 
 A *place* is the position of an unknown in the order of elimination.
 """
@@ -84,10 +85,10 @@ class SparsePattern:
 
 @dataclass(frozen=True)
 class Pattern(SparsePattern):
-    """Everything about a factorisation by fronts that does not depend on the values of the entries.
+    """What a factorisation by fronts needs to know beside the values of the entries.
 
-    A front is a set of unknowns that are eliminated together, its own ones, with its border: the later unknowns that
-    they or fronts below are coupled to. A place is the position of an unknown in the order of elimination.
+    A front is a set of unknowns that are eliminated together, its own unknowns, with its border: the later unknowns
+    that these or fronts below are coupled to. A place is the position of an unknown in the order of elimination.
 
     first : (fronts,) place of the first own unknown of each front; the others follow. Children come before parents.
     own : (fronts,) number of own unknowns of each front.
@@ -143,7 +144,7 @@ class Pattern(SparsePattern):
 
 @dataclass(frozen=True)
 class PlacedPattern:
-    """What is still asked of a pattern once all its numbers have places in memory. The lists of its entries and borders
+    """The part of a pattern that is needed after all numbers have got places in memory. Lists of entries and borders
     are left out: they would take a tenth of the memory of a factor.
 
     order : (unknowns,) unknown at each place of the elimination order.
@@ -181,8 +182,7 @@ class BlockPattern:
 
     @property
     def order(self) -> np.ndarray:
-        """(size,) unknowns in the order of their elimination: as they come, since one dense block needs no
-        other order."""
+        """(size,) unknowns in the order of elimination, which for one dense block is that of their numbers."""
         return np.arange(self.size)
 
     place = order
@@ -241,7 +241,7 @@ def supernodes(pattern: sparse.csr_matrix, price: Price) -> Parts:
     size, numbers = pattern.shape[0], np.zeros((8, pattern.shape[0]), dtype=np.int32)
     elimination_tree.divide(*astuple(price), *entries, *numbers, 1)
     parent, _, home, own, child, sibling, *_ = numbers
-    # list parts with children before parents: each root, then what hangs below it, backwards
+    # list parts with children before parents: list each root before the parts below it, then reverse the list
     first, following = child.tolist(), sibling.tolist()
     lasts, waiting = list[int](), np.flatnonzero(parent < 0).tolist()
     while waiting:
@@ -291,14 +291,14 @@ def _depth(parent: np.ndarray) -> np.ndarray:
 
 def _borders(parts: Parts, depth: np.ndarray, row: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the borders of all parts one after the other, as sorted places, and where each begins, (parts + 1,). The
-    border of a part are the later rows of its own columns, and of the borders of its children.
+    border of a part has the rows after the part in which its columns, or the borders of its children, have entries.
 
     parts : the parts, children before parents.
     depth : (parts,), number of parts above each.
     row, column : (entries,), places of the stored entries, row >= column, sorted by column.
 
-    All parts of one depth are worked on at once. A row of a border is the number part * size + row, so that sorted
-    numbers are sorted by part.
+    Parts are treated depth by depth, the deepest first. Here a row of a border is the number part * size + row, so that
+    sorted numbers are sorted by part.
     """
     end, size = np.cumsum(parts.own), np.int64(len(parts.order))
     part = np.repeat(np.arange(len(end)), parts.own)[column]
@@ -320,14 +320,14 @@ def _borders(parts: Parts, depth: np.ndarray, row: np.ndarray, column: np.ndarra
 
 
 def _numbers(members: np.ndarray, begins: np.ndarray, most: int, which: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Return for each of n wanted members of lists its index (n,) among the members of all lists; 0 for one that its
-    list does not have.
+    """Find n values in lists of ascending values. Return the index (n,) of each among the values of all lists; 0 if its
+    list does not have it.
 
-    members : members of all lists, one list after the other, ascending in each.
-    begins : (lists + 1,), where the list with each number begins in `members`, and the end.
-    most : number that all members are below.
-    which : (n,), number of the list in which the member is wanted.
-    wanted : (n,), the member.
+    members : values of all lists, one list after the other.
+    begins : (lists + 1,), where each list begins in `members`, and the end.
+    most : number that all values are below.
+    which : (n,), number of the list in which each value is to be found.
+    wanted : (n,), the value.
 
     SciPy finds entries of a sparse matrix in a quarter of the time that NumPy takes to find numbers in one sorted list.
     """

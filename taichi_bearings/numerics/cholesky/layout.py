@@ -1,9 +1,11 @@
-"""Decides where the numbers of a factorisation lie and in which order fronts are worked on; makes the kernels' tables.
+"""Decides where the numbers of a factorisation are stored and in which order fronts are eliminated; makes the tables of
+integers by which kernels find both.
 
-A *grove* is a subtree with few numbers in its updates. It is worked on depth by depth, all its fronts of a depth at
-once: threads share those best. Above the groves fronts are worked on one by one, children before parents, so that few
-updates wait at a time. Subtrees with so little work that their numbers stay in the cache of a processor, *branches*,
-come first in their grove: a kernel works on each, front after front, and threads share the branches.
+A *grove* is a subtree with few numbers in its updates. It is eliminated depth by depth: all its fronts of one depth are
+a *batch*, which threads share. Above the groves fronts are eliminated one by one, children before parents, so that few
+updates have to be stored at a time. A *branch* is a subtree with so little work that its numbers stay in the cache of a
+processor. The branches of a grove are its first batch: a kernel eliminates each front after front, and threads share
+the branches.
 """
 
 from dataclasses import dataclass
@@ -87,14 +89,14 @@ class Layout:
         updates = size_in_panels(self.border, self.update_height, tuning.SHEET_COLUMNS)
         batches = _batches(pattern, updates, tuning.GROVE_NUMBERS if apart else -1, branches)
         places, extents = places_of_updates(pattern.parent, updates, batches, branches)
-        # Updates are counted from the far end of the memory, so they may lie where the columns of fronts that are
-        # worked on later come to lie: memory has to hold, for each batch, the columns up to then and its updates.
+        # Columns are stored from the start of the memory on, updates from its end backwards. So an update may be where
+        # later fronts put their columns: for each batch the columns up to then and the updates in use have to fit.
         used = np.maximum.accumulate(_largest(ends, batches))
         end = int((used + whole(extents, unit)).max())
         self.update, self.size = end - places - updates, end + unit  # kernels read up to a vector more
         _refuse_uncountable(self.size)
         self.diagonal = self.update + self.own - self.skip
-        # in vectors: after the unknowns what each front leaves for its border; if threads share, all rows of each front
+        # after the unknowns right-hand sides have numbers for the border of each front; with threads, for all its rows
         kept = self.height if apart else self.border
         rest = whole(np.array(pattern.size), unit) + np.cumsum(kept) - kept
         self.vector = int(rest[-1] + kept[-1])
@@ -191,10 +193,12 @@ def size_in_panels(columns: Integers, height: Integers, width: Integers | int) -
 
 
 def begin_of_column(column: Integers, height: Integers, width: Integers | int) -> Integers:
-    """Return how far behind the begin of a matrix row 0 of one of its columns stands, or would stand, in the storage of
-    :func:`size_in_panels`; `height` and `width` as there.
+    """Return the index, counted from the first number of a matrix, of row 0 of one of its columns, in the storage of
+    :func:`size_in_panels`. After the first panel that row itself is not stored.
 
     column : number of the column.
+    height : number of rows of the first panel.
+    width : columns of a panel.
     """
     found: Integers = size_in_panels(column, height, width) - column // width * width
     return found
@@ -253,8 +257,8 @@ def _sums_of_branches(parent: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def _branches(pattern: Pattern) -> np.ndarray:
-    """Return the branches of the elimination tree that a kernel works on as wholes, the one with most work first: (n,
-    2), the first front of each and the end. They are the largest subtrees that take at most BRANCH_OPERATIONS.
+    """Return the branches of the elimination tree, the one with most work first: (n, 2), the first front of each and
+    the front after its last. They are the largest subtrees that take at most BRANCH_OPERATIONS.
 
     pattern : the fronts, sets of unknowns that are eliminated together.
     """
@@ -267,19 +271,19 @@ def _branches(pattern: Pattern) -> np.ndarray:
 
 
 def _batches(pattern: Pattern, size: np.ndarray, most: int, branches: np.ndarray) -> list[np.ndarray]:
-    """Return the order in which fronts are eliminated, as a list of arrays of front numbers, children before parents.
-    The fronts of one array do not depend on each other, or lie in branches; they are worked on at once.
+    """Return the batches in which fronts are eliminated, as a list of arrays of front numbers, children before parents.
+    The fronts of one batch are eliminated at once; they do not depend on each other, or lie in branches.
 
     A front is a set of unknowns that are eliminated together. Its update is what that adds to the matrix of later
-    unknowns; it waits in memory until the front above takes it. Subtrees whose updates are small enough are worked on
-    depth by depth, from the deepest fronts up, so that each depth is one array; above them each front is an array. If
-    the matrix falls apart into several trees and all of them together are small enough, they count as one subtree.
+    unknowns; it is stored until the front above reads it. Each depth of a subtree with small updates is a batch, from
+    the deepest fronts up; above these subtrees each front is a batch. If the matrix falls apart into several trees and
+    all of them together are small enough, they count as one subtree.
 
     pattern : the fronts.
     size : (fronts,) doubles of the update of each front.
     most : largest number of doubles in all updates of such a subtree; updates inside branches do not count.
     branches : (n, 2), first front of each branch and the front after its last: subtrees that one kernel call eliminates
-        whole. Those within a small subtree form its first array.
+        whole. Those within a small subtree form its first batch.
     """
     of_branch, lasting = branch_of(len(size), branches), size.copy()
     for first, end in branches.tolist():

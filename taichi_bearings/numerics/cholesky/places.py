@@ -1,11 +1,11 @@
-"""Decides where the updates of fronts lie, so that little memory holds all that are needed at one time.
+"""Decides where the updates of fronts are stored, so that little memory is enough for all that are needed at one time.
 
 A *front* is a dense block of the factorisation: unknowns that are eliminated together. Its *update* is the matrix that
-this adds to that of the later unknowns it is coupled to; it lies in memory until the front above has taken it.
+the elimination adds to that of later unknowns; it has to be stored until the front above has read it.
 
-Places are given backwards in time, from the last fronts to the first. An update takes the first free stretch where it
-is needed last, and gives it back where it is made. So the updates that the last fronts take lie one after the other at
-the start of the memory: it is there that the columns of the factor leave the least room.
+Memory is allotted backwards in time, from the last front to the first: an update takes the first free stretch at the
+time when it is read, and gives it back at the time when it is made. So the updates that the last fronts read are one
+after the other at the start of the memory; at that time the columns of the factor leave the least memory free.
 """
 
 from bisect import bisect_left
@@ -24,7 +24,7 @@ class Stretches:
 
     @property
     def extent(self) -> int:
-        """How many doubles from the start of the memory on are in use, or between some that are."""
+        """Number of doubles from the start of the memory to the end of the last one in use."""
         return self._begins[-1]
 
     def take(self, length: int) -> int:
@@ -88,7 +88,7 @@ def places_of_updates(
         above[above == end - 1 - first] = -1
         alike = above.tobytes() + short.tobytes()
         if alike not in known:
-            # updates that the last front takes stay until it does
+            # each front is a batch; updates that the last front of the branch reads stay to the end
             alone = [[n] for n in range(end - 1 - first)]
             places, within, _ = _places(above, short, alone, [0] * len(alone))
             known[alike] = places, int(within.max(initial=0))
@@ -125,7 +125,7 @@ def _places(
     for front, above in enumerate(parent.tolist()):
         taken[batch[above]].append(front)
     for number in range(len(batches), -1, -1):
-        # the largest first: they fit into the fewest stretches
+        # the largest first, as they fit into the fewest stretches
         for front in sorted(taken[number], key=doubles.__getitem__, reverse=True):
             places[front] = free.take(doubles[front])
         if number == len(batches):

@@ -8,12 +8,13 @@ from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.cholesky.dissection import Region, divide
 from taichi_bearings.numerics.cholesky.tuning import GROVE_NUMBERS, LAUNCH_UNKNOWNS, LEAF_UNKNOWNS, SHEET_COLUMNS
 
-JOINED = 2.0  # measured: so much more of updates is alive, as fronts are joined and branches go side by side
+# measured: updates take so much more memory, as fronts are joined and several branches are eliminated at once
+JOINED = 2.0
 Tree = tuple[float, float, tuple[float, ...]]
 """Memory that the elimination of a region of the lattice takes, in doubles: size of its factor; the most that is in use
 at one time, of the factor and of update matrices together; total size of the update matrices at each depth of the
-dissection, the region's own first. (An update matrix is what the elimination of some unknowns adds to the matrix of
-later ones.)"""
+dissection, beginning with that of the region itself. (An update matrix is what the elimination of some unknowns adds to
+the matrix of later ones.)"""
 
 
 @lru_cache(maxsize=64)
@@ -28,9 +29,9 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
 
     def tree(region: Region) -> Tree:
         """Return the memory that the elimination of a region takes, in doubles: (size of its factor, the most in use at
-        one time, total size of update matrices at each depth of the dissection, the region's own first). An update
-        matrix is what eliminated unknowns add to the matrix of later ones. All regions with boxes of the same shape and
-        the same border share one computation.
+        one time, total size of update matrices at each depth of the dissection). An update matrix is what eliminated
+        unknowns add to the matrix of later ones. It is computed once for all regions that are shifted copies of each
+        other and have equal borders.
 
         region : by spin component, a box of spheres.
         """
@@ -55,7 +56,7 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
             return inside * (inside + border), inside * (inside + border) + update, (update,)
         below, separator, above = division
         parts, own = [tree(side) for side in (below, above) if side], unknowns(separator)
-        if not own:  # what nothing couples falls apart
+        if not own:  # parts that nothing couples have no update in common
             update = sum(part[2][0] for part in parts)
         depths = max(len(part[2]) for part in parts)
         levels = [update, *(sum(part[2][n] for part in parts if n < len(part[2])) for n in range(depths))]

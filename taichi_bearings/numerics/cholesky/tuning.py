@@ -27,9 +27,8 @@ LAUNCH_PRICE = Price(part=4000, column=20, update=20)
 CALLS_PRICE = Price(part=1e4, column=20, update=20)  # most fronts are small ones, in branches
 # Memory
 MOST_FACTOR_NUMBERS = 2**31 - 1  # most numbers of a factorisation: kernels count in 32 bits
-GROVE_NUMBERS = (
-    40_000_000  # most in all updates of a subtree that is worked on depth by depth: the whole lattice at 32^3
-)
+# most in all updates of a subtree that is eliminated depth by depth (layout.py): the whole lattice at 32^3
+GROVE_NUMBERS = 40_000_000
 LARGE_FACTOR_NUMBERS = 10_000_000  # a factor of more numbers gives its memory back when it is not needed
 # A factor of more numbers (from 40^3 on) is made only after freed memory was given back: at 64^3 the analysis of the
 # pattern leaves 0.3 GB free
