@@ -199,8 +199,9 @@ def _least_cover(low: np.ndarray, high: np.ndarray, count: int) -> np.ndarray:
     low, high : (edges,), numbers of the nodes of each edge on the lower and on the upper side.
     count : number of all nodes.
 
-    The set is found as a minimum cut of a network in which a flow of 1 can pass through each node. It does not depend
-    on which of several largest flows is found. SciPy's own matchings can take minutes.
+    The set is found as a minimum cut of a network in which a flow of 1 can pass through each node, from a source to the
+    lower nodes, along the edges, and from the upper nodes to a sink. It is the same for all largest flows. SciPy's own
+    matchings can take minutes.
     """
     (lower, begin), (upper, end) = (_numbered(side, count) for side in (low, high))
     below, above = len(lower), len(upper)

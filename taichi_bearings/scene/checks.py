@@ -139,7 +139,7 @@ def bodies(values: ArrayLike, spheres: int) -> np.ndarray:
     return driven
 
 
-def columns_as_rows(found: Mapping[str, Any]) -> dict[str, np.ndarray]:
+def columns_as_vectors(found: Mapping[str, Any]) -> dict[str, np.ndarray]:
     """Return the arrays of a file of a packing by name, with columns (N, 1) or (E, 1) reshaped to (N,) or (E,).
 
     found : the arrays by name, `center` and `contact` among them, which say how many spheres N and contacts E there
@@ -147,8 +147,8 @@ def columns_as_rows(found: Mapping[str, Any]) -> dict[str, np.ndarray]:
     """
     places, pairs = np.shape(found["center"]), np.shape(found["contact"])
     counts = {places[0] if places else 0, pairs[0] if pairs else 0}
-    one = {"driven", "radius", "friction", "viscosity", "normal_force", *(["spin"] if places[-1:] == (2,) else [])}
-    is_column = {n: n in one and np.ndim(v) == 2 and v.shape[1] == 1 and len(v) in counts for n, v in found.items()}
+    vectors = {"driven", "radius", "friction", "viscosity", "normal_force", *(["spin"] if places[-1:] == (2,) else [])}
+    is_column = {n: n in vectors and np.ndim(v) == 2 and v.shape[1] == 1 and len(v) in counts for n, v in found.items()}
     return {name: values[:, 0] if is_column[name] else values for name, values in found.items()}
 
 

@@ -64,6 +64,8 @@ class ExactDriving:
 
         Each has a value for every layer of spheres along k, or a single value where all are the same. For k along the
         height only the last layer is in the top plane.
+
+        component : k.
         """
         with localcontext() as context:
             context.prec = DIGITS

@@ -763,7 +763,7 @@ class Packing(Bearing):
             group = [f"packing/{name}" for name in (*NEEDED, *OPTIONAL)]
             stored = read_arrays(path, group[: len(NEEDED)], group[len(NEEDED) :])
             found = {name.rpartition("/")[2]: values for name, values in stored.items()}
-        return checks.columns_as_rows(found)
+        return checks.columns_as_vectors(found)
 
     def save(self, path: str | Path) -> Path:
         """Write the arrays of the packing into a new file, and return its path.

@@ -115,38 +115,39 @@ def _covered(system: ContactSystem, packing: Packing, component: np.ndarray) -> 
     packing : one sample.
     component : (A,), the spin component that each contact couples.
     """
-    # a second node (`mirrored`, else -1) for each unknown in a part with odd loops; signs elsewhere
+    # the unknowns of each contact, -1 for an end without one; for each unknown its sign or, in parts with odd loops,
+    # its second node (`mirrored`, else -1)
     count = system.unknowns
     spheres = packing.contact[system.numbers]
     feels = np.any(system.feels, axis=1)
     ends = np.where(feels[:, None], system.moved[spheres, component[:, None]], -1)  # (A, 2)
-    within, some = np.all(ends >= 0, axis=1), np.any(ends >= 0, axis=1)
-    odd, sign = odd_pieces(count, *ends[within].T)
+    both_free, any_free = np.all(ends >= 0, axis=1), np.any(ends >= 0, axis=1)
+    odd, sign = odd_pieces(count, *ends[both_free].T)
     mirrored = np.where(odd, count + np.cumsum(odd) - 1, -1)
     # contacts between two unknowns (inner), and those of an unknown with an imposed spin (rim)
-    inner, rim = np.flatnonzero(within), np.flatnonzero(some & ~within)
+    inner, rim = np.flatnonzero(both_free), np.flatnonzero(any_free & ~both_free)
     units, unit = _whole(packing, system.numbers)
     units = np.minimum(units, units[rim].sum())  # no minimum cut holds more
-    # `own`: unknown of a rim contact, `held`: its driven sphere; `twice`, `pair`: contacts in parts with odd loops
+    # which of them are in parts with odd loops; u of the driven sphere of each rim contact
     first, second = ends[inner].T
-    own, held = ends[rim].max(axis=1), np.where(ends[rim, 0] < 0, spheres[rim, 0], spheres[rim, 1])
-    twice, pair, u = odd[first], odd[own], _imposed(system, packing, held, component[rim])
-    # the nodes of driven values: first for each rim contact, then again, of opposite sign, for those in odd parts
-    single = tuple(np.where(pair, -part, -sign[own] * part) for part in u)
-    values, level, opposite = _ordered(*(np.append(part, of[pair]) + 0.0 for part, of in zip(single, u, strict=True)))
+    free_end, driven_end = ends[rim].max(axis=1), np.where(ends[rim, 0] < 0, spheres[rim, 0], spheres[rim, 1])
+    inner_odd, rim_odd, u = odd[first], odd[free_end], _imposed(system, packing, driven_end, component[rim])
+    # the value of the first node at which each rim contact has no slip; then, in odd parts, that of the second node
+    value = tuple(np.where(rim_odd, -part, -sign[free_end] * part) for part in u)
+    values, level, opposite = _ordered(*(np.append(part, of[rim_odd]) + 0.0 for part, of in zip(value, u, strict=True)))
     driven = count + int(odd.sum()) + level
-    of_rim, of_pair = np.split(driven, [len(rim)])
-    # an even contact is one edge with twice the weight, an odd one is two edges between opposite copies
-    low = [first, second[twice], own, mirrored[own[pair]]]
-    high = [np.where(twice, mirrored[second], second), mirrored[first[twice]], of_rim, of_pair]
-    contact = np.concatenate([inner, inner[twice], rim, rim[pair]])
-    copies = np.concatenate([2 - twice, np.ones(twice.sum(), int), 2 - pair, np.ones(pair.sum(), int)])
-    signs = [np.where(twice, 1, sign[first]), np.ones(twice.sum(), int)]
-    signs += [np.where(pair, 1, sign[own]), -np.ones(pair.sum(), int)]
+    rim_value, rim_opposite = np.split(driven, [len(rim)])
+    # a contact is one edge with twice the weight, or in odd parts two edges between nodes of opposite sign
+    low = [first, second[inner_odd], free_end, mirrored[free_end[rim_odd]]]
+    high = [np.where(inner_odd, mirrored[second], second), mirrored[first[inner_odd]], rim_value, rim_opposite]
+    contact = np.concatenate([inner, inner[inner_odd], rim, rim[rim_odd]])
+    copies = np.concatenate([2 - inner_odd, np.ones(inner_odd.sum(), int), 2 - rim_odd, np.ones(rim_odd.sum(), int)])
+    signs = [np.where(inner_odd, 1, sign[first]), np.ones(inner_odd.sum(), int)]
+    signs += [np.where(rim_odd, 1, sign[free_end]), -np.ones(rim_odd.sum(), int)]
     edges = np.concatenate(low), np.concatenate(high), units[contact] * copies, contact, np.concatenate(signs)
     mirror = np.append(mirrored, np.flatnonzero(odd))
     # the highest level, in parts with odd loops, whose value is not positive
-    of_twins = np.append(level[: len(rim)][pair], level[len(rim) :])
+    of_twins = np.append(level[: len(rim)][rim_odd], level[len(rim) :])
     negative = of_twins[(values[0][of_twins] < 0) | (values[0][of_twins] == 0)]
     rest = int(negative.max(initial=0))
     return _Cover(len(mirror), *edges, values, opposite, unit / 2, mirror, rest), sign
