@@ -254,7 +254,7 @@ def two_boundaries(exact: Table, cut: MinimumCut, ended: Solution) -> Table:
 def distance_from_cut(scene: Scene) -> dict[str, float]:
     """Return how far the spins at the end of Cundall-Strack dynamics are from those of the two rigid domains of the
     minimum cut: for each of STARTS, names of initial spins, the largest difference of any spin in any sample of the
-    scene, in units of the jump (top minus bottom of the imposed spins).
+    scene, in units of the jump (top minus bottom of the imposed spins). The bottom must be at rest.
     """
     cut = np.where(cut_of(scene).above, scene.spin_top, scene.spin_bottom)
     return {start: float(np.abs(relax(scene, start).last[0] - cut).max() / scene.jump) for start in STARTS}

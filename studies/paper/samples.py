@@ -384,7 +384,7 @@ class Run:
     time : (times T,) recorded times.
     power : (T, R) dissipated power, energy/time.
     first, last : (3, R, *N spheres) spins at the beginning and at the end, 1/time, staggered: with opposite signs on
-        neighbours, so that spheres that roll on each other have equal values.
+        neighbours and measured from the bottom, so that spheres that roll on each other have equal values.
     """
 
     start: str
