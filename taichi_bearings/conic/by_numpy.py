@@ -45,7 +45,7 @@ def is_quicker(contacts: int, samples: int) -> bool:
     """Return True if passes are made by NumPy: over one small sample, before their kernels are worth loading.
 
     contacts : number of contacts of a sample.
-    samples : number of samples side by side.
+    samples : number of samples computed together.
     """
     return samples == 1 and contacts <= MOST_BY_NUMPY and SPENT.contacts < WORTH_LOADING
 

@@ -9,7 +9,7 @@ slips v, and a contact bears eta v beside its force of friction. So eta is added
 and eta v to the forces whose torques have to balance. The cost less the dual cost is, as without viscosity, the sum of
 friction times slip speed less force of friction times slip.
 
-Letters: n contacts with up to d slip components, S samples side by side (conic/__init__.py).
+Letters: n contacts with up to d slip components, S samples computed together (conic/__init__.py).
 """
 
 from dataclasses import dataclass, replace

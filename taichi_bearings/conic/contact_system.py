@@ -443,7 +443,7 @@ def _ends(slips: sparse.csr_matrix) -> list[tuple[np.ndarray, np.ndarray]]:
 
 def stacked(stiffness: np.ndarray) -> np.ndarray:
     """Return the upper triangles of symmetric matrices as one vector (d (d + 1) / 2 * n,): all entries [0, 0], then all
-    [0, 1], and so on. For S samples side by side the result has a last axis more, (..., S).
+    [0, 1], and so on. For S samples the result has a last axis more, (..., S).
 
     stiffness : (d, d, n), stiffness of each of n contacts with up to d slip components; or (d, d, n, S) of S samples.
     """

@@ -85,7 +85,7 @@ class Descent:
 
         shared : system, order of elimination and Newton matrix of all samples.
         spheres : number of spheres, by which the first gap for settling is chosen.
-        small : True to treat samples as small ones, several side by side.
+        small : True to treat samples as small ones, several together.
         settles : True to settle contact states here. This needs a law whose force does not depend on the slip speed, so
             that contacts rest.
         asked : True if contact states are wanted, and not only a bound on the power.
@@ -134,7 +134,7 @@ class Descent:
     def _leave(self, path: Path, place: int, sample: Sample) -> None:
         """Store the point that a sample has reached, unless it is done, and free its place on the path for others.
 
-        path : the path on which it is, side by side with others.
+        path : the path on which it is, together with others.
         place : its place among the samples there.
         sample : the sample.
         """
@@ -171,7 +171,7 @@ class Descent:
         their contact states are to be settled next (`at_end`). In both cases the point of the path is stored.
 
         samples : the samples on the path, by their place there.
-        path : the path on which they are, side by side.
+        path : the path on which they are.
         taken : mask of the places; False if the step could not be taken: then the sample is done, at the point before.
         """
         for place, sample in samples.items():
@@ -204,7 +204,7 @@ class Descent:
         computed.
 
         sample : the sample.
-        path : the path on which it is, side by side with others.
+        path : the path on which it is, together with others.
         place : its place among the samples there.
 
         Unbalanced forces lower the bound. If this loss, the price of torques, is larger than the gap, forces are

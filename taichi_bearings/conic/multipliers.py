@@ -36,8 +36,8 @@ from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import Pair, add, exactly
 
 # Stiffnesses of the springs at successive minima, over the friction of each contact: two series, of which the second is
-# tried where Newton's method fails with the first; and a series that follows as long as slow contacts cannot be told
-# from resting ones. A resting contact creeps by its force over its stiffness.
+# tried where Newton's method fails with the first; and a series that follows as long as slow contacts and resting ones
+# cannot be distinguished. A resting contact creeps by its force over its stiffness.
 FIRST_STIFFNESSES, FOR_SLOW = ((1e8, 1e10), (1e6, 1e8, 1e10, 1e10)), (1e12, 1e13, 1e14)
 # Ratio of the largest and the smallest friction beyond which the first series is left out: springs of strong contacts
 # are then so stiff that rounding exceeds what weak ones bear, and forces would balance with fewer digits.
@@ -186,11 +186,11 @@ class _Multipliers:
         self.slip = slip
 
     def minimise_for_slow(self) -> None:
-        """Go on to further minima until slow contacts are told from resting ones and the forces of resting contacts
-        have settled; then move these forces away from the friction limits.
+        """Go on to further minima until slow contacts and resting ones are distinguished (`are_apart`) and the forces
+        of resting contacts have settled; then move these forces away from the friction limits.
 
-        First all springs become stiffer (FOR_SLOW), as long as slow contacts are not told from resting ones; then the
-        springs beside slow contacts alone (:meth:`_stiffer_beside_slow`).
+        First all springs become stiffer (FOR_SLOW), until contacts are distinguished; then the springs beside slow
+        contacts alone (:meth:`_stiffer_beside_slow`).
         """
         for stiffness in FOR_SLOW:
             if self.are_apart or not self.minimise(stiffness * self.unit):

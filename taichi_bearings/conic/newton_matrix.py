@@ -1,8 +1,8 @@
 """The matrix of a Newton step, K^T S K: a Laplacian over the spins. K is the matrix from spins to slips; the block
 diagonal matrix S has a stiffness matrix (d, d) for each contact.
 
-Letters: n contacts with up to d slip components. In shapes S is the number of samples. Samples are "side by side" if
-they have one pattern of entries and their numbers stand on the last axis, (..., S).
+Letters: n contacts with up to d slip components. Several samples with one pattern of entries are on the last axis of
+arrays, (..., S).
 """
 
 from collections.abc import Callable, Sequence
@@ -27,7 +27,7 @@ class NewtonMatrix:
     """Factorised matrices K^T S K of a contact system, for one sample or several. K is the matrix from spins to slips;
     the block diagonal matrix S holds the stiffnesses of the n contacts.
 
-    There are two ways to treat several samples. They can be side by side, up to LANES of them, in arrays (..., S) with
+    There are two ways to treat several samples. Up to LANES of them can be on the last axis of arrays (..., S), with
     one pattern of entries for all. Or they can be separate parts of one system, each with a pattern of its own. The
     result for a sample, bit by bit, does not depend on the others. Patterns are analysed once, when the object is made.
 
@@ -54,7 +54,7 @@ class NewtonMatrix:
         order : order in which its unknowns are eliminated; or a function that returns the order for a part by its
             number, counted from the first unknown of the part.
         memory : memory of another matrix that is not needed as long as this one is; None for its own.
-        engine : Engine.LAUNCH if there are to be several samples side by side; if None, the quickest.
+        engine : Engine.LAUNCH for several samples on the last axis of arrays; if None, the quickest for one.
         parts : for each sample the range of its unknowns, if samples are parts of the system; None for one pattern.
         shared_passes : True to let threads share the passes over the contacts of a single sample, as those of another
             matrix whose kernels are loaded; None to do so if there are many contacts.
@@ -92,7 +92,7 @@ class NewtonMatrix:
         columns, signs = (len(system.offset) + 1) * system.offset.size // 2, sign.astype(np.int8)
         sign = signs if self.is_costly and (signs == sign).all() else sign  # a byte each instead of eight
         self._map = sparse.csr_matrix((sign, (places, source)), shape=(end, columns))  # from `stacked` stiffnesses
-        self._kept = dict[int, ContactRows]()  # by number of samples side by side, the memory of their Newton steps
+        self._kept = dict[int, ContactRows]()  # by number of samples, the memory of their Newton steps
 
     @property
     def is_costly(self) -> bool:
@@ -109,7 +109,7 @@ class NewtonMatrix:
         """Compile the kernels that factorise, before the time of a run is measured. For one sample these are also the
         kernels for smaller systems.
 
-        samples : number of samples side by side.
+        samples : number of samples factorised together.
         """
         _compile(self._choleskys[0].engine, samples)
         if samples == 1:
@@ -124,7 +124,7 @@ class NewtonMatrix:
     def factorise(self, stiffness: np.ndarray, inertia: float | np.ndarray = 0.0) -> None:
         """Factorise the matrices of all samples. Raises NotPositiveDefinite if one is singular to working precision.
 
-        stiffness : (d, d, n), or (d, d, n, S) side by side.
+        stiffness : (d, d, n), or (d, d, n, S) of S samples.
         inertia : number added to the diagonal, as by a spring at every spin: one number, (unknowns,) or (unknowns, S).
 
         Letters: n contacts with up to d slip components, S samples.
@@ -152,7 +152,7 @@ class NewtonMatrix:
         """Factorise the matrices of some samples. Return a mask (S,) of the `wanted` samples in which that succeeds, if
         need be with a raised diagonal.
 
-        stiffness : (d, d, n), a symmetric positive matrix for each contact; or (d, d, n, S) side by side.
+        stiffness : (d, d, n), a symmetric positive matrix for each contact; or (d, d, n, S) of S samples.
         wanted : (S,) mask, None for all.
         inertia : number added to the diagonal, as by a spring at every spin: one number, (unknowns,) or (unknowns, S).
 
@@ -195,7 +195,7 @@ class NewtonMatrix:
     def solve(self, right: np.ndarray, wanted: np.ndarray | None = None) -> np.ndarray:
         """Return the solutions of the factorised systems, in the shape of the right-hand sides.
 
-        right : (unknowns,), right-hand side; (unknowns, S) of S samples side by side.
+        right : (unknowns,), right-hand side; (unknowns, S) of S samples.
         wanted : (S,) mask, where samples are parts of one system; the solutions of the others are 0. None for all.
         """
         columns = _side_by_side(right)
@@ -206,8 +206,8 @@ class NewtonMatrix:
         return found.reshape(right.shape)
 
     def rows(self, samples: int = 1) -> ContactRows:
-        """Return the memory in which Newton steps of `samples` samples side by side are made. Into its array `spins`
-        (unknowns or more, samples) right-hand sides are written; :meth:`solve_rows` replaces them by the solutions.
+        """Return the memory in which Newton steps of `samples` samples are made together. Its array `spins` (unknowns
+        or more, samples) gets the right-hand sides; :meth:`solve_rows` replaces them by the solutions.
 
         samples : 1 or LANES.
         """
@@ -335,7 +335,7 @@ def _compile(engine: Engine, samples: int) -> None:
     """Compile the kernels that factorise, by use on a lattice of 2 x 2 x 3 spheres: kernels are the same for all sizes.
 
     engine : the way to factorise.
-    samples : number of samples side by side, 1 or LANES.
+    samples : number of samples factorised together, 1 or LANES.
     """
     lattice, spin_axes = Lattice((2, 2, 3)), (0, 1)
     system = lattice_system(lattice, spin_axes, np.ones(2))

@@ -516,6 +516,7 @@ def _with_slipless_forces(
     settled: list[Resolved | None] = [None] * len(minima)
     some = [(number, found) for number, found in enumerate(minima) if found is not None]
     if some:
+        # all samples together, by springs; then those for which that failed, by a barrier
         slipping, at_limit = (
             np.concatenate([getattr(found, of) for _, found in some]) for of in ("slipping", "at_limit")
         )

@@ -40,7 +40,7 @@ class ContactRows:
 
     values : (rows, contacts, S), all rows.
     spins : (unknowns or more, S), array that is read as changes of the spins, and overwritten with torques on them.
-    samples : S, the number of samples, which stand side by side.
+    samples : S, the number of samples.
     shared : True if threads share the passes; bits are the same.
     place : (unknowns,), row of `spins` in which each unknown stands.
     """
@@ -296,7 +296,7 @@ def compile_passes(contacts: int, samples: int = 1, costly: bool = False) -> Non
     """Compile the kernels of a Newton step, unless NumPy takes their place at first.
 
     contacts : number of contacts of a sample.
-    samples : number of samples side by side, 1 or LANES.
+    samples : number of samples computed together, 1 or LANES.
     costly : True to compile also those that are used where a factorisation takes long.
     """
     if not by_numpy.is_quicker(contacts, samples):
@@ -306,8 +306,10 @@ def compile_passes(contacts: int, samples: int = 1, costly: bool = False) -> Non
 @lru_cache
 def _compile_passes(samples: int, costly: bool, shared: bool) -> None:
     """Compile the kernels of a Newton step, by running them on a system of two contacts: they are the same for all
-    systems. The first two arguments are those of :func:`compile_passes`.
+    systems.
 
+    samples : number of samples computed together, 1 or LANES.
+    costly : True to compile also those that are used where a factorisation takes long.
     shared : True for kernels whose work threads share.
     """
     by_numpy.kernels_are_loaded()

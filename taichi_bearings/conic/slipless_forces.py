@@ -397,7 +397,7 @@ def _inside(friction: np.ndarray, dual: np.ndarray, slipping: np.ndarray, torque
 
     friction : (samples * n,), friction limit of each of n contacts, sample after sample.
     dual : (d, samples * n), minus the forces, with up to d components.
-    slipping : (samples * n,) mask of contacts that are not looked at: those that slip or may be at their limit.
+    slipping : (samples * n,) mask of contacts that do not count: those that slip or may be at their limit.
     torques : (unknowns, samples), torques that the forces leave.
     """
     left = np.abs(torques).T.copy()

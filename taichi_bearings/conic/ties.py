@@ -21,12 +21,12 @@ from taichi_bearings.conic.contraction import Contraction
 from taichi_bearings.numerics.graphs import pieces
 
 # Limits of a search in doubles that proves nothing: what lies beyond them is not found, or taken to be tied.
-MOST_BLOCK_UNKNOWNS = 600  # most unknowns of a block that is searched for motions which turn no slip (dense, n^3)
+MOST_BLOCK_UNKNOWNS = 600  # most unknowns of a block that is searched for motions without change of direction (n^3)
 NOISE_SHARE = 2e-3  # component of a force at its limit, over the other one, that may be noise
 LEAST_TURN = 1e-9  # change of the direction of a unit slip, per unit of motion, that counts as none
 LEAST_MOVE = 1e-7  # change of a slip over the largest of its motion, and share left of a slip, that count as 0
-LONGEST_MOTION = 1e6  # largest multiple of a motion that is looked at
-MOST_CORNERS = 3000  # most candidates for corners of a polyhedron that are all looked at
+LONGEST_MOTION = 1e6  # largest multiple of a motion that is considered
+MOST_CORNERS = 3000  # most candidates for corners of a polyhedron that are all computed
 
 
 def sometimes_slipping(

@@ -6,7 +6,7 @@ solved by elimination from end to end and back. With a periodic axis it is a rin
 takes one more sum (docs/decisions.md, 10 counts the operations). Every sum runs in one order, whatever the number of
 workers or replicas.
 
-Letters: C spin components, R replicas (samples solved side by side), N the shape of the lattice, m free spheres along
+Letters: C spin components, R replicas (samples solved together), N the shape of the lattice, m free spheres along
 the height (all but the driven bottom and top). A *mode* is the amplitude of one sine along the height.
 """
 
@@ -162,17 +162,19 @@ class BalanceKernels:
         chains : (C, longest, height), flat: factors by which the elimination of the chains multiplies.
         row : length of a row of the fields, which has one number of every sphere.
         margin : numbers of a row before the first sphere.
-        count : spheres of all replicas (samples solved side by side).
+        count : spheres of all replicas (samples solved together).
         stride_x, stride_y : distance in memory from a sphere to its neighbour along x and along y.
         sites : spheres of one replica.
         longest : spheres of the longest chain.
         weight : stiffness of the springs along the chains.
         """
+        # sine transform, tile by tile of the matrix product
         for item in range(self.components * self.tiles(count, stride_x, stride_y)):
             tiles, height = self.tiles(count, stride_x, stride_y), self.height(stride_x, stride_y)
             slot, tile = item // tiles, item % tiles
             source = (self.pull + slot) * row + margin
             self.sines_of_tile(values, modes, sines, source, slot * count, 0, tile, count // height, height)
+        # chains of all components; `line` is counted within the component whose turn it is
         for item in range(self.lines(count, stride_x, stride_y, sites)):
             line = item
             for slot in ti.static(range(self.components)):
@@ -181,6 +183,7 @@ class BalanceKernels:
                     height = self.height(stride_x, stride_y)
                     self.chains_of_group(modes, modes, chains, slot, line, count, stride, side, height, longest, weight)
                 line -= count // side
+        # inverse transform, added to the potentials
         for item in range(self.components * self.tiles(count, stride_x, stride_y)):
             tiles, height = self.tiles(count, stride_x, stride_y), self.height(stride_x, stride_y)
             slot, tile = item // tiles, item % tiles
@@ -474,7 +477,7 @@ class BalanceKernels:
         count : numbers of a component in `modes`.
         stride_x, stride_y : distance in `modes` from a sphere to its neighbour along x and along y, if columns are not
             folded; the second, in 2D the first, is the length of a column.
-        sites : numbers of a component of one replica (one of the samples that are solved side by side).
+        sites : numbers of a component of one replica (one of the samples that are solved together).
         longest : spheres of the longest chain.
         weight : stiffness of the springs along the chains.
         """

@@ -660,8 +660,10 @@ def _kernel_over_contacts(law: Callable, of_one: tuple | None, of_two: tuple | N
 
 
 def _shared_kernel_over_contacts(law: Callable, of_one: tuple, of_two: tuple, finds: tuple) -> Callable:
-    """Return a kernel that does for one sample what the kernel of :func:`_kernel_over_contacts` does, on several
-    threads. Its arguments are those there."""
+    """Return a kernel that calls `law` for every contact of one sample, on several threads.
+
+    law, of_one, of_two, finds : as in :func:`_kernel_over_contacts`, which makes the kernel for one thread.
+    """
 
     @ti.kernel
     def run(

@@ -25,7 +25,7 @@ from taichi_bearings.kernels.memory import INTEGERS
 from taichi_bearings.kernels.team import LEAST_CHUNK
 
 PANEL = 4  # columns, and rows or vectors of rows, that are worked on together: their numbers fit into registers
-LANES = 8  # matrices side by side, or rows of one alone: what an AVX-512 instruction works on at once
+LANES = 8  # matrices, or rows of a single one, that one AVX-512 instruction works on
 NUMBERS = ti.types.ndarray(dtype=ti.f64, ndim=1)
 VECTORS = ti.types.ndarray(dtype=ti.types.vector(LANES, ti.f64), ndim=1)
 
@@ -92,8 +92,8 @@ def column_of(tables: ti.template(), at, column, packed: ti.template()):
     """Return the index of row 0 of a column of a front among the entries of all fronts. Columns that are stored from
     the diagonal down only have other entries there; the index then only serves to find the rows that are stored.
 
-    A front is the dense matrix of unknowns that are eliminated together, its own, and of later ones; its update is what
-    is left for the later ones.
+    A front is the dense matrix of unknowns that are eliminated together, its *own* unknowns, and of later unknowns; its
+    update is the matrix that elimination leaves for the later unknowns.
 
     tables : integers that say where all numbers stand: a header, a row of WIDTH integers for each front, and lists.
     at : position in `tables` of the row of integers of this front.
@@ -161,8 +161,8 @@ def gather(
 ):  # fmt: skip
     """Fill some columns of a front with the entries of the matrix, and add the updates that its children leave.
 
-    A front is the dense matrix of some unknowns that are eliminated together, and of later ones; an update is what is
-    left for the later ones. Children are fronts whose update goes into this one.
+    A front is the dense matrix of unknowns that are eliminated together, and of later unknowns; its update is the
+    matrix that elimination leaves for the later unknowns. Children are fronts whose updates are added to this one.
 
     in_runs : True to add neighbouring numbers as vectors: for one matrix with large fronts, as it takes 20 ms to load.
     unit : number of rows that make a vector in `vectors`, 1 for LANES matrices; columns are cleared from a multiple of
@@ -338,8 +338,8 @@ def panel(
 def reduce(tables: ti.template(), at, numbers: ti.template(), vectors: ti.template(), unit: ti.template()):
     """Eliminate the own unknowns of one front in place (Cholesky), PANEL columns at a time, and leave its update.
 
-    A front is a dense matrix of unknowns that are eliminated together, its own, and of later ones that they are coupled
-    to; its update is what the elimination leaves as the matrix of the later ones.
+    A front is the dense matrix of unknowns that are eliminated together, its *own* unknowns, and of later unknowns that
+    they are coupled to; its update is the matrix that elimination leaves for the later unknowns.
 
     tables : integers that say where all numbers stand: a header, a row of WIDTH integers for each front, and lists.
     at : position in `tables` of the row of integers of this front.
@@ -359,8 +359,8 @@ def reduce(tables: ti.template(), at, numbers: ti.template(), vectors: ti.templa
 
 @ti.kernel
 def eliminate(tables: INTEGERS, entries: VECTORS, numbers: VECTORS):
-    """Compute the Cholesky factors of LANES sparse matrices with the same pattern of entries, side by side: each number
-    of memory is a vector with one number of each matrix.
+    """Compute the Cholesky factors of LANES sparse matrices with the same pattern of entries: each number in memory is
+    a vector with one number of each matrix.
 
     If a pivot of a matrix is not positive, its inverse is not finite. Other matrices are not affected.
 

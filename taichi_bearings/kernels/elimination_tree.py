@@ -55,10 +55,11 @@ def count_leaf(
     leaf: ti.template(),
 ):  # fmt: skip
     """Add 1 to the count of a column that is a leaf of a row. If the row has an earlier leaf, subtract 1 from the count
-    of the *joint*, the column where the paths up the tree from both leaves meet. The arrays are those of :func:`grow`.
+    of the *joint*, the column where the paths up the tree from both leaves meet.
 
     row : number of the row.
     column : number of the column that is the leaf.
+    first, count, above, most, leaf : arrays of :func:`grow`, which describes them.
     """
     before, joint = leaf[row], leaf[row]
     most[row], leaf[row] = first[column], column

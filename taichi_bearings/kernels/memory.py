@@ -111,7 +111,7 @@ def with_rings(strides: ti.template(), site, ring, periodic: ti.template()):
 
     strides : list of three: distance in memory to the upper neighbour along each axis.
     site : number of the site among all.
-    ring : number of sites of a replica (one of the samples side by side), which is the length of a ring along x.
+    ring : number of sites of a replica (one of the samples solved together), which is the length of a ring along x.
     periodic : numbers of the axes that close on themselves.
     """
     if ti.static(len(periodic) == 0):

@@ -1,6 +1,6 @@
 """Constants that kernels are compiled for: spin components of each contact direction, and sites of a block.
 
-Letters: C spin components, R replicas (samples solved side by side), N the shape of the lattice, E contacts, V force
+Letters: C spin components, R replicas (samples solved together), N the shape of the lattice, E contacts, V force
 components of a site.
 """
 

@@ -44,7 +44,7 @@ def triangle_forward(numbers: ti.template(), vector: ti.template(), where: ti.te
     """Solve forward, in place, with a triangle at the diagonal of the Cholesky factor, and return the list of its
     `wide` unknowns. These are the own unknowns of a front, a group of unknowns that are eliminated together.
 
-    An entry of an array is a number of one matrix, or a vector of LANES numbers, one of each of as many matrices.
+    An entry of an array is a number of one matrix, or a vector with one number of each of LANES matrices.
 
     numbers : the Cholesky factor, flat, with inverse pivots.
     vector : flat, right-hand sides, replaced by the solution.
@@ -68,7 +68,7 @@ def triangle_backward(
     """Solve backward, from its last row up, with a triangle at the diagonal of the Cholesky factor. It belongs to the
     `wide` own unknowns of a front, a group of unknowns that are eliminated together.
 
-    An entry of an array is a number of one matrix, or a vector of LANES numbers, one of each of as many matrices.
+    An entry of an array is a number of one matrix, or a vector with one number of each of LANES matrices.
 
     numbers : the Cholesky factor, flat, with inverse pivots.
     vector : flat; the solution is written here.
@@ -89,8 +89,8 @@ def triangle_backward(
 @ti.func
 def take_from_children(tables: ti.template(), at, vector: ti.template(), keeps_own: ti.template()):
     """Add to the right-hand sides of one front, and to what it stores for its border, what its children in the
-    elimination tree have left for their borders. A front is a group of unknowns that are eliminated together, with the
-    later ones they are coupled to, its border.
+    elimination tree have left for their borders. A front consists of unknowns that are eliminated together, and of the
+    later unknowns that they are coupled to, its border.
 
     tables : integers that say where all numbers stand: a header, a row of WIDTH integers for each front, and lists.
     at : position in `tables` of the row of integers of this front.
@@ -115,8 +115,8 @@ def take_from_children(tables: ti.template(), at, vector: ti.template(), keeps_o
 @ti.func
 def copy_border(tables: ti.template(), at, vector: ti.template(), to):
     """Copy the unknowns of the border of one front, which its parent in the elimination tree has solved for, to where
-    the front stores numbers for its border. A front is a group of unknowns that are eliminated together, with the later
-    ones they are coupled to, its border.
+    the front stores numbers for its border. A front consists of unknowns that are eliminated together, and of the later
+    unknowns that they are coupled to, its border.
 
     tables : integers that say where all numbers stand: a header, a row of WIDTH integers for each front, and lists.
     at : position in `tables` of the row of integers of this front.
@@ -135,9 +135,9 @@ def forward(numbers: ti.template(), vector: ti.template(), where: ti.template(),
     """Solve forward for `wide` own unknowns of a front, and subtract their contribution from its later unknowns and its
     border.
 
-    A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to, its
-    border. An entry of an array is a number of one matrix, or a vector of LANES numbers, one of each of as many
-    matrices.
+    A front consists of unknowns that are eliminated together, its *own* unknowns, and of the later unknowns that they
+    are coupled to, its border. An entry of an array is a number of one matrix, or a vector with one number of each of
+    LANES matrices.
 
     numbers : the Cholesky factor, flat.
     vector : flat, right-hand sides, replaced by the solution; and after them what each front leaves for its border.
@@ -169,9 +169,9 @@ def forward(numbers: ti.template(), vector: ti.template(), where: ti.template(),
 def backward(numbers: ti.template(), vector: ti.template(), where: ti.template(), wide: ti.template()):
     """Solve backward for `wide` own unknowns of a front, once its later unknowns and its border are known.
 
-    A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to, its
-    border. An entry of an array is a number of one matrix, or a vector of LANES numbers, one of each of as many
-    matrices.
+    A front consists of unknowns that are eliminated together, its *own* unknowns, and of the later unknowns that they
+    are coupled to, its border. An entry of an array is a number of one matrix, or a vector with one number of each of
+    LANES matrices.
 
     numbers : the Cholesky factor, flat.
     vector : flat, results of the forward solve, replaced by the solution; and after them, for each front, a copy of the
@@ -204,8 +204,8 @@ def down(alone: ti.template(), tables: ti.template(), at, numbers: ti.template()
     """Solve forward (L y = b, with the Cholesky factor L) for one front, once its children in the elimination tree are
     done.
 
-    A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to, its
-    border; its children are the fronts that leave it something.
+    A front consists of unknowns that are eliminated together, its *own* unknowns, and of the later unknowns that they
+    are coupled to, its border.
 
     alone : True for one matrix, False for LANES of them; then an entry of an array is a vector with one number of each.
     tables : integers that say where all numbers stand: a header, a row of WIDTH integers for each front, and lists.
@@ -234,8 +234,8 @@ def up(tables: ti.template(), at, numbers: ti.template(), vector: ti.template())
     """Solve backward (L^T x = y, with the Cholesky factor L) for one front, once its parent in the elimination tree is
     done.
 
-    A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to, its
-    border; its parent is the front to which it leaves something.
+    A front consists of unknowns that are eliminated together, its *own* unknowns, and of the later unknowns that they
+    are coupled to, its border.
 
     tables : integers that say where all numbers stand: a header, a row of WIDTH integers for each front, and lists.
     at : position in `tables` of the row of integers of this front.
@@ -296,8 +296,8 @@ def forward_vectors(
     """Solve forward for `wide` own unknowns of a front of one matrix, and subtract their contribution from all rows of
     the front below them.
 
-    A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to; it
-    has a row for each of both.
+    A front consists of unknowns that are eliminated together, its *own* unknowns, and of the later unknowns that they
+    are coupled to; it has a row for each of these unknowns.
 
     memory : list of two arrays: the Cholesky factor of one matrix, flat, and the same memory as vectors of LANES rows.
     vector : flat, the right-hand sides of the rows of all fronts; replaced by the solution.
@@ -334,8 +334,8 @@ def backward_vectors(
     """Solve backward for `wide` own unknowns of a front of one matrix, once the unknowns of all rows of the front below
     them are known.
 
-    A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to; it
-    has a row for each of both.
+    A front consists of unknowns that are eliminated together, its *own* unknowns, and of the later unknowns that they
+    are coupled to; it has a row for each of these unknowns.
 
     memory : list of two arrays: the Cholesky factor of one matrix, flat, and the same memory as vectors of LANES rows.
     vector : flat, what the forward solve has left in the rows of all fronts; replaced by the solution.
@@ -369,8 +369,8 @@ def backward_vectors(
 @ti.func
 def pivot_and_pitch(tables: ti.template(), at, column):
     """Return the index of the pivot of an own column of a front in the Cholesky factor, and how far further on the next
-    column of its panel stands. A front is a group of unknowns that are eliminated together, its own, with the later
-    ones they are coupled to.
+    column of its panel stands. A front consists of unknowns that are eliminated together, its *own* unknowns, and of
+    the later unknowns that they are coupled to.
 
     tables : integers that say where all numbers stand: a header, a row of WIDTH integers for each front, and lists.
     at : position in `tables` of the row of integers of this front.
@@ -385,8 +385,8 @@ def down_vectors(tables: ti.template(), at, memory: ti.template(), vector: ti.te
     """Solve forward (L y = b, with the Cholesky factor L) for one front of one matrix, once its children in the
     elimination tree are done.
 
-    A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to, its
-    border; its children are the fronts that leave it something.
+    A front consists of unknowns that are eliminated together, its *own* unknowns, and of the later unknowns that they
+    are coupled to, its border.
 
     tables : integers that say where all numbers stand: a header, a row of WIDTH integers for each front, and lists.
     at : position in `tables` of the row of integers of this front.
@@ -420,8 +420,8 @@ def up_vectors(tables: ti.template(), at, memory: ti.template(), vector: ti.temp
     """Solve backward (L^T x = y, with the Cholesky factor L) for one front of one matrix, once its parent in the
     elimination tree is done.
 
-    A front is a group of unknowns that are eliminated together, its own, with the later ones they are coupled to, its
-    border; its parent is the front to which it leaves something.
+    A front consists of unknowns that are eliminated together, its *own* unknowns, and of the later unknowns that they
+    are coupled to, its border.
 
     tables : integers that say where all numbers stand: a header, a row of WIDTH integers for each front, and lists.
     at : position in `tables` of the row of integers of this front.

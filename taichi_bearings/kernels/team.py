@@ -37,7 +37,7 @@ MISSED_PROCESSORS = 0.2  # if a launch gets so many processors less than it has 
 TRIAL_SECONDS, PIECE_SECONDS = 0.01, 0.3
 SHORT_SECONDS = 0.004  # launches that take less are too short to judge by
 FIRST_REST, LONGEST_REST = 1.0, 20.0  # seconds for which a smaller team goes on, at first and at most
-# how often a worker reads the counter, about ten seconds long, before it knows that the threads do not run side by side
+# a worker reads the counter so often, for about ten seconds, before it gives up, as threads do not run at the same time
 MOST_POLLS = 2**30
 
 
@@ -86,7 +86,7 @@ class Team:
         together : steps of one call on a GPU.
         arguments : what the kernel takes besides.
 
-        Raises DeviceError if the threads do not run side by side.
+        Raises DeviceError if the threads do not run at the same time.
         """
         runtime.refuse_changed()
         if self.size == 0:
@@ -181,7 +181,7 @@ class Sweeps:
     numbers : how many constants the kernel takes.
     measures : how many integers at the begin of `Fields.tables` say where the sites are. On lattices: length of a row
         (one number of every site), numbers in it before the first site, number of blocks, distances in memory to the
-        neighbours along x and y, sites of a replica (one of the samples that are solved side by side)."""
+        neighbours along x and y, sites of a replica (one of the samples that are solved together)."""
 
     parts, repeats, numbers, measures = 1, 1, 1, 6
     looks_up = False
@@ -277,7 +277,7 @@ class Sweeps:
         blocks : the same memory as vectors, one for each block.
         tables : integers of the layout, not used here.
         size : length of a row (one number of every site), numbers in it before the first site, number of blocks,
-            distances in memory to the neighbours along x and y, sites of a replica (one of the samples side by side).
+            distances in memory to the neighbours along x and y, sites of a replica (one sample).
         number : number of the block.
         numbers : constants of the kernel.
         sweep : number of the sweep.

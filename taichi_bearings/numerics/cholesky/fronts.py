@@ -355,8 +355,8 @@ def coupled(place: np.ndarray, first: np.ndarray, second: np.ndarray) -> sparse.
 
 
 def _lower_entries(lower: sparse.csr_array) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rows and the columns (entries,) of the entries of a pattern that :func:`coupled` has returned, sorted
-    by column, then row."""
+    """Return the rows and the columns (entries,) of the entries of `lower`, a pattern that :func:`coupled` has
+    returned, sorted by column, then row."""
     return lower.indices.astype(np.int64), np.repeat(np.arange(lower.shape[0]), np.diff(lower.indptr))
 
 
