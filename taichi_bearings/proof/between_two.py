@@ -213,7 +213,8 @@ def _farthest(tree: list[Link]) -> Node:
     moves = {tree[0].nodes[0]: 1.0}
     for link in tree:
         known = next(slot for slot in range(2) if link.nodes[slot] in moves)
-        moves[link.nodes[1 - known]] = moves[link.nodes[known]] * link.size[1 - known] / link.size[known]
+        with np.errstate(divide="ignore", invalid="ignore"):  # a line along one component has no slip along the other
+            moves[link.nodes[1 - known]] = moves[link.nodes[known]] * np.divide(link.size[1 - known], link.size[known])
     return max(moves, key=lambda node: moves[node])
 
 
