@@ -147,18 +147,14 @@ class LatticeRuns(RunKind):
         return _row_of(replace(settings, seed=0))
 
     def job(self, settings: RunSettings, strict: bool = True) -> LatticeJob:
-        """Return the job that the settings describe; every input error is raised here.
-
-        settings : settings of the run.
-        strict : True to raise InputError for options that neither the method nor the law uses; False to ignore them.
+        """Return the job that the settings describe; every input error is raised here. The arguments are explained in
+        :class:`RunKind`.
         """
         return self._job(settings, None, strict)
 
     def job_of_seeds(self, settings: RunSettings, seeds: Sequence[int]) -> LatticeJob:
-        """Return the job that solves several samples at once, which differ in their seeds alone.
-
-        settings : settings of any of them; options that are not used are ignored.
-        seeds : the seed of each sample.
+        """Return the job that solves several samples at once, which differ in their seeds alone. The arguments are
+        explained in :class:`RunKind`.
         """
         return self._job(replace(settings, seed=seeds[0], replicas=len(seeds)), seeds, False)
 
@@ -176,29 +172,22 @@ class LatticeRuns(RunKind):
         return job_of(settings, scene, initial_spin(scene, settings.initial), strict)
 
     def refuse(self, settings: RunSettings, has_seeds: bool) -> None:
-        """Raise InputError for settings that describe no scene that can be solved.
-
-        settings : settings of one sample of a scan.
-        has_seeds : not used.
+        """Raise InputError for settings that describe no scene that can be solved. The arguments are explained in
+        :class:`RunKind`.
         """
         self.row(settings)
 
     def are_solved_together(self, settings: RunSettings, spheres: int) -> bool:
         """Return True if samples that differ in their seeds alone can be solved at once, each with the same bits as
-        alone.
-
-        settings : settings of any of them.
-        spheres : number of spheres of a sample.
+        alone. The arguments are explained in :class:`RunKind`.
         """
         ends_early = settings.time_limit is not None or getattr(settings, "settle", None) is False
         is_drawn = settings.coefficients is None
         return is_drawn and not ends_early and spheres < self.row(settings).alike_in_a_block
 
     def samples_at_a_time(self, settings: RunSettings, spheres: int) -> int:
-        """Return how many samples that differ in their seeds alone a worker should get at a time at least.
-
-        settings : settings of any of them.
-        spheres : number of spheres of a sample.
+        """Return how many samples that differ in their seeds alone a worker should get at a time at least. The
+        arguments are explained in :class:`RunKind`.
         """
         block = max(BLOCK_SAMPLES, BLOCK_SPHERES // spheres)
         return block if spheres < self.row(settings).alike_in_a_block else 1
@@ -210,10 +199,8 @@ class LatticeRuns(RunKind):
         return self.row(settings).seconds(settings.shape, settings.tolerance)
 
     def worker_bytes(self, settings: RunSettings, spheres: int, most: int) -> float:
-        """Return the estimated memory, bytes, of a worker that solves samples with these settings.
-
-        spheres : number of spheres of a sample; not used.
-        most : number of samples that it gets at a time, at most.
+        """Return the estimated memory, bytes, of a worker that solves samples with these settings. The arguments are
+        explained in :class:`RunKind`.
         """
         periodic = ["xyz".index(name) for name in settings.periodic]
         return bytes_of_lattice(self.row(settings), settings.shape, periodic, most)

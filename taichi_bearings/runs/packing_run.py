@@ -85,20 +85,15 @@ class PackingRuns(RunKind):
         return method_of_packing(settings)
 
     def job(self, settings: RunSettings, strict: bool = True) -> PackingJob:
-        """Return the job that the settings describe; every input error is raised here.
-
-        settings : settings of the run.
-        strict : True to raise InputError for options that neither the method nor the law uses; False to ignore them.
+        """Return the job that the settings describe; every input error is raised here. The arguments are explained in
+        :class:`RunKind`.
         """
         settings = fitting(settings, strict)
         return PackingJob(settings, *packings_to_solve(settings))
 
     def job_of_seeds(self, settings: RunSettings, seeds: Sequence[int]) -> PackingJob:
         """Return the job that solves several samples at once, which differ in their seeds alone. The file of the
-        packing is read once for all.
-
-        settings : settings of any of them; options that are not used are ignored.
-        seeds : the seed of each sample.
+        packing is read once for all. The arguments are explained in :class:`RunKind`.
         """
         settings = fitting(settings, strict=False)
         if len(seeds) == 1:
@@ -106,10 +101,8 @@ class PackingRuns(RunKind):
         return PackingJob(replace(settings, replicas=len(seeds)), packing_of(settings, seeds=seeds), None)
 
     def refuse(self, settings: RunSettings, has_seeds: bool) -> None:
-        """Raise InputError for settings that describe no packing that can be solved.
-
-        settings : settings of one sample of a scan.
-        has_seeds : True if the scan asks for several seeds; something must then be drawn from them.
+        """Raise InputError for settings that describe no packing that can be solved. The arguments are explained in
+        :class:`RunKind`.
         """
         settings = fitting(settings, strict=False)
         packing_of(settings)
@@ -123,20 +116,14 @@ class PackingRuns(RunKind):
 
     def are_solved_together(self, settings: RunSettings, spheres: int) -> bool:
         """Return True if samples that differ in their seeds alone can be solved at once, each with the same bits as
-        alone.
-
-        settings : settings of any of them.
-        spheres : number of spheres of a sample.
+        alone. The arguments are explained in :class:`RunKind`.
         """
         is_drawn = settings.coefficients is None and settings.initial in STARTS
         return is_drawn and settings.time_limit is None and are_solved_together(settings, spheres)
 
     def samples_at_a_time(self, settings: RunSettings, spheres: int) -> int:
         """Return how many samples that differ in their seeds alone a worker should get at a time: as many as are solved
-        together, or as take BLOCK_SECONDS.
-
-        settings : settings of any of them.
-        spheres : number of spheres of a sample.
+        together, or as take BLOCK_SECONDS. The arguments are explained in :class:`RunKind`.
         """
         if not are_solved_together(settings, spheres):
             return 1
@@ -147,10 +134,8 @@ class PackingRuns(RunKind):
         """Return None whatever the settings: it is not known beforehand how long a packing takes."""
 
     def worker_bytes(self, settings: RunSettings, spheres: int, most: int) -> float:
-        """Return the estimated memory, bytes, of a worker that solves samples with these settings.
-
-        spheres : number of spheres of a sample.
-        most : not used, as fewer are solved together.
+        """Return the estimated memory, bytes, of a worker that solves samples with these settings. The arguments are
+        explained in :class:`RunKind`.
         """
         beside = min(self.samples_at_a_time(settings, spheres), MOST_TOGETHER) - 1
         return PROCESS_BYTES + bytes_of_packing(spheres) + BESIDE_BYTES * beside * spheres
