@@ -74,28 +74,38 @@ class Reduced(Coordinates):
         return found
 
     def changes_of_slips(self, rows: sparse.csr_array, scale: np.ndarray) -> tuple[sparse.csr_array, np.ndarray]:
-        """Return what :meth:`Coordinates.changes_of_slips` does, from the same arguments. The length of a change is
-        bounded by the root of the sum of the squares of its entries."""
-        found, doubt = times_exact(rows, 0 * rows, self.motions)
-        found, doubt = times_exact(found, doubt, self.basis)
-        sizes = sparse.csr_array((abs(found) + doubt) @ sparse.diags_array(scale * UP))
+        """Return two things about the matrix (3 S, m) that gives the changes of the slips of S contacts from the
+        coordinates, x components of all contacts first, then y, then z:
+
+        1. a matrix of its shape with bounds on the sizes of its entries,
+        2. bounds (S,) on the length of the change of each slip, over that of the vector of all coordinates: the root of
+           the sum of the squares of its entries.
+
+        rows : (3 S, n), the matrix that gives these changes from the unknown spin components.
+        scale : (m,), the units in which the coordinates are meant.
+        """
+        product, doubt = times_exact(rows, 0 * rows, self.motions)
+        product, doubt = times_exact(product, doubt, self.basis)
+        sizes = sparse.csr_array((abs(product) + doubt) @ sparse.diags_array(scale * UP))
         squares = np.asarray(sizes.power(2).sum(axis=1)).reshape(3, -1).sum(axis=0)
         return sizes, np.sqrt(squares) * UP
 
     def spins(self, scaled: np.ndarray) -> np.ndarray:
-        """Return the changes (n,) of the unknown spin components for scaled coordinates `scaled` (m,)."""
+        """Return the changes P C (scale x), (n,), of the unknown spin components for scaled coordinates x, which is
+        `scaled` (m,)."""
         found: np.ndarray = self.motions @ (self.basis @ (self.form.scale * scaled))
         return found
 
 
 @dataclass(frozen=True)
 class CentreAmongMotions(Centre):
-    """Spins near which a minimum is to be proven, with unknowns that stand for motions in which contacts roll exactly.
-    It is that of one sample, in which some contacts can roll exactly."""
+    """Spins of one sample near which a minimum is to be proven, with coordinates that stand for motions in which
+    contacts roll exactly. At least one contact of the sample can roll exactly."""
 
     @classmethod
     def of(cls, centre: Centre) -> CentreAmongMotions | None:
-        """Return the same spins with such unknowns; None if no contact rolls exactly, or motions are none or too many.
+        """Return the spins of `centre` with coordinates that stand for motions in which contacts roll exactly. Return
+        None if no contact can roll exactly, or if there are no such motions, or more than MOST_MOTIONS.
 
         centre : the spins, of one sample.
         """
@@ -104,15 +114,17 @@ class CentreAmongMotions(Centre):
 
     @cached_property
     def motions(self) -> sparse.csr_array:
-        """P, (n, m), whole numbers: how the n unknown spin components follow from the coordinates."""
-        of, sphere = self.exact.motions, np.nonzero(self.number >= 0)[0]
-        assert of is not None
-        inside = self.exact.spheres[sphere]
-        own, others = np.flatnonzero(inside), np.flatnonzero(~inside)
-        rolling = sparse.coo_array(of.motion[:, : len(of.choices.chosen)])
-        count, (row, column) = rolling.shape[1], rolling.coords
-        at = np.append(own[row], others), np.append(column, count + np.arange(len(others)))
-        values = np.append(rolling.data, np.ones(len(others)))
+        """The matrix P, (n, m), of whole numbers that gives the n unknown spin components from the coordinates. The
+        first coordinates stand for motions in which contacts roll exactly, each other one for an unknown of a sphere
+        that these contacts do not touch."""
+        exact_motions, sphere = self.exact.motions, np.nonzero(self.number >= 0)[0]
+        assert exact_motions is not None
+        rolls = self.exact.spheres[sphere]
+        rolling, others = np.flatnonzero(rolls), np.flatnonzero(~rolls)
+        motion = sparse.coo_array(exact_motions.motion[:, : len(exact_motions.choices.chosen)])
+        count, (row, column) = motion.shape[1], motion.coords
+        at = np.append(rolling[row], others), np.append(column, count + np.arange(len(others)))
+        values = np.append(motion.data, np.ones(len(others)))
         return sparse.csr_array((values, at), shape=(len(sphere), count + len(others)))
 
     @cached_property
@@ -121,18 +133,22 @@ class CentreAmongMotions(Centre):
         return np.flatnonzero(~self.exact.contacts[self.resting])
 
     def reduced(self, stiffness: np.ndarray) -> Reduced | None:
-        """Return the curvature in coordinates of which slow contacts have some to themselves; None if some coordinate
-        changes no slip.
+        """Return the curvature of the potential in coordinates w, of which each slow contact has one to itself: the
+        change of its slip across itself. Return None if some coordinate changes no slip.
 
-        stiffness : (l,), of springs at the loose contacts, force over slip speed.
+        stiffness : (l,), of springs at the l loose contacts (resting ones that need not roll exactly), force over slip
+            speed.
         """
         rows, doubt = times_exact(*self.rows_of_curvature(self.resting[self.loose_places], stiffness), self.motions)
-        own = (self.strength.value / self.size.value)[self.with_friction]
-        damped = self.damping.value[self.damping.high > 0]
-        each = np.concatenate([own, np.tile(damped, 3), np.tile(stiffness, 3)])
-        left = np.sqrt(np.asarray(rows.power(2).sum(axis=1)))
-        stiff = np.flatnonzero((each > STIFF * np.median(own)) & (left > SOME_ACROSS * np.sqrt(each)))
-        basis = basis_for(sparse.csr_array(rows[stiff[np.argsort(-each[stiff], kind="stable")]]))
+        # The stiffness of each row: mu F_n / |y|, eta, or that of the spring.
+        of_friction = (self.strength.value / self.size.value)[self.with_friction]
+        of_damping = self.damping.value[self.damping.high > 0]
+        stiffness_of_row = np.concatenate([of_friction, np.tile(of_damping, 3), np.tile(stiffness, 3)])
+        # Slow contacts: stiff ones of which more than the share SOME_ACROSS is left in the motions, the stiffest first.
+        length = np.sqrt(np.asarray(rows.power(2).sum(axis=1)))
+        is_stiff = stiffness_of_row > STIFF * np.median(of_friction)
+        stiff = np.flatnonzero(is_stiff & (length > SOME_ACROSS * np.sqrt(stiffness_of_row)))
+        basis = basis_for(sparse.csr_array(rows[stiff[np.argsort(-stiffness_of_row[stiff], kind="stable")]]))
         rows, doubt = times_exact(rows, doubt, basis)
         count = rows.shape[1]
         whole, samples = [Part(np.arange(count), [])], Samples.one(count)
@@ -140,16 +156,17 @@ class CentreAmongMotions(Centre):
         return None if form is None else Reduced(form, basis, self.motions)
 
     def coordinates(self) -> Reduced | None:
-        """Return the coordinates w with springs at the loose contacts that are like those of slipping ones; None if
-        some of them changes no slip."""
+        """Return the coordinates w, with springs at the loose contacts (resting ones that need not roll exactly) as
+        stiff as slipping ones mostly are; None if some coordinate changes no slip."""
         return self.reduced(self.usual_stiffness(self.resting[self.loose_places]))
 
     def improved(self) -> CentreAmongMotions:
-        """Return spins closer to the minimum among those at which the resting contacts rest, and friction of these that
-        balances all torques. Nothing about the result is proven. These are steps of Newton's method with one matrix, as
-        long as each more than halves the torques along the motions, with springs at loose contacts alone; then springs
-        at all resting contacts take the other torques. The same spins are returned if the curvature cannot be
-        factorised."""
+        """Return a copy with spins closer to the minimum among those at which the resting contacts do not slip, and
+        with friction of these contacts that balances all torques. Nothing about the result is proven.
+
+        Newton's method is used with one matrix, and with springs at the loose contacts alone (resting ones that need
+        not roll exactly). It ends once a step does not halve the torques along the motions. Then springs at all resting
+        contacts take the other torques. If the curvature cannot be factorised, nothing is changed."""
         stiffest = float((self.strength.value / self.size.value)[self.with_friction].max(initial=1.0))
         stiffness = np.full(len(self.loose_places), FIRMER * stiffest)
         curvature = self.reduced(stiffness)
@@ -157,34 +174,36 @@ class CentreAmongMotions(Centre):
         if curvature is None or factor is None:
             return self
         form, loose = curvature.form, self.resting[self.loose_places]
-        fixed, root = form.rows[form.rows.shape[0] - 3 * len(loose) :], np.tile(np.sqrt(stiffness), 3)
-        best, least, found, there = self, np.inf, self, self.number >= 0
+        # The last rows of the curvature are those of the springs: their slips times the root of the stiffness.
+        spring_rows, root = form.rows[form.rows.shape[0] - 3 * len(loose) :], np.tile(np.sqrt(stiffness), 3)
+        best, least, found, is_unknown = self, np.inf, self, self.number >= 0
         while True:
-            torque = form.scale * curvature.along(found.torque_values[there])
+            torque = form.scale * curvature.along(found.torque_values[is_unknown])
             if not (left := float(np.linalg.norm(torque))) < least / 2:
                 return best._balanced()
             best, least = found, left
+            # A Newton step; the forces of the springs in it are added to the friction of the loose contacts.
             stretch = root * np.concatenate([part.value[loose] for part in best.slips])
-            step = -factor.solve(torque + fixed.T @ stretch)
-            less = np.zeros((3, len(self.resting)))
-            less[:, self.loose_places] = -(root * (stretch + fixed @ step)).reshape(3, -1)
-            found = best.moved(curvature.spins(step), less)
+            step = -factor.solve(torque + spring_rows.T @ stretch)
+            less_friction = np.zeros((3, len(self.resting)))
+            less_friction[:, self.loose_places] = -(root * (stretch + spring_rows @ step)).reshape(3, -1)
+            found = best.moved(curvature.spins(step), less_friction)
 
     def _balanced(self) -> CentreAmongMotions:
-        """Return the same spins, with the friction of resting contacts corrected so that torques on free spheres
-        balance as nearly as rounding allows. Nothing about the result is proven.
+        """Return a copy with these spins, and with the friction of resting contacts corrected so that torques on free
+        spheres balance but for rounding. Nothing about the result is proven.
 
-        The correction is the force that equally stiff springs at the resting contacts bear under the torques that are
-        left. It is repeated as long as it more than halves these, MOST_BALANCING times at most. The friction stays
-        unchanged if the matrix of these springs cannot be factorised."""
-        rows, there = sparse.csr_array(self.rows[self.rows_of(self.resting)]), self.number >= 0
+        The correction is the force of equally stiff springs at the resting contacts under the leftover torques. It is
+        repeated as long as it more than halves these, MOST_BALANCING times at most. The friction stays unchanged if the
+        matrix of these springs cannot be factorised."""
+        rows, is_unknown = sparse.csr_array(self.rows[self.rows_of(self.resting)]), self.number >= 0
         squares = np.bincount(rows.indices, rows.data**2, rows.shape[1])
         scale = 1 / np.sqrt(np.where(squares > 0, squares, 1.0))
         rows = sparse.csr_array(rows @ sparse.diags_array(scale))
         factor = Elimination.of((rows.T @ rows).tocsc(), self.place, self.parts, self.samples).factorised(-ADDED)
         best, least, found = self, np.inf, self
         for _ in range(MOST_BALANCING if factor is not None else 0):
-            torque = found.torque_values[there]
+            torque = found.torque_values[is_unknown]
             if not (left := float(np.linalg.norm(torque))) < least / 2:
                 break
             best, least = found, left
@@ -208,40 +227,41 @@ def times_exact(
 
 
 def basis_for(rows: sparse.csr_array) -> sparse.csr_array:
-    """Return a matrix C, (m, m), such that most of the given rows, divided by their lengths, have one entry 1 after a
-    product with C, and else 0 but for rounding. The others depend on these.
+    """Return a matrix C, (m, m), such that each of some independent rows, divided by its length, has one entry 1 after
+    a product with C, and else 0 but for rounding. All other rows depend on these.
 
     rows : (r, m), each of its rows not 0; those that come first are preferred.
 
-    Rows that share columns are taken together, in a dense matrix. Elimination with the largest entry of a row as pivot
-    finds which are independent, and for each of them a column. These columns are what its row is solved for.
+    The equations (row) . v = w of independent rows are solved for some columns of v, the pivots. So v = C w, where w is
+    v at all other columns. Rows that share columns are solved together, in a dense matrix.
     """
     count, begin = rows.shape[1], rows.indptr[:-1]
     first = np.repeat(rows.indices[begin], np.diff(rows.indptr))
-    label, taken = pieces(count, first, rows.indices), np.zeros(count, dtype=bool)
-    piece, entries = label[rows.indices[begin]], list[tuple[np.ndarray, np.ndarray, np.ndarray]]()
-    for part in np.unique(piece):
-        own = sparse.csr_array(rows[np.flatnonzero(piece == part)])
-        columns = np.unique(own.indices)
-        dense = own[:, columns].toarray()
+    label, is_pivot = pieces(count, first, rows.indices), np.zeros(count, dtype=bool)
+    piece_of_row, entries = label[rows.indices[begin]], list[tuple[np.ndarray, np.ndarray, np.ndarray]]()
+    for piece in np.unique(piece_of_row):
+        members = sparse.csr_array(rows[np.flatnonzero(piece_of_row == piece)])
+        columns = np.unique(members.indices)
+        dense = members[:, columns].toarray()
         dense /= np.linalg.norm(dense, axis=1)[:, None]
         kept, pivots = _independent_rows(dense)
         others = np.setdiff1d(np.arange(len(columns)), pivots)
+        # dense_pivots v_pivots + dense_others v_others = w, solved for v_pivots
         solved = np.zeros((len(kept), len(columns)))
         solved[:, pivots] = np.linalg.inv(dense[np.ix_(kept, pivots)])
         solved[:, others] = -solved[:, pivots] @ dense[np.ix_(kept, others)]
         row, column = np.nonzero(solved)
         entries.append((columns[pivots][row], columns[column], solved[row, column]))
-        taken[columns[pivots]] = True
-    same = np.flatnonzero(~taken)
-    at, by, values = (
-        np.concatenate([*(entry[k] for entry in entries), of]) for k, of in enumerate((same, same, np.ones(len(same))))
-    )
-    return sparse.csr_array((values, (at, by)), shape=(count, count))
+        is_pivot[columns[pivots]] = True
+    unchanged = np.flatnonzero(~is_pivot)
+    entries.append((unchanged, unchanged, np.ones(len(unchanged))))
+    row, column, values = (np.concatenate(parts) for parts in zip(*entries, strict=True))
+    return sparse.csr_array((values, (row, column)), shape=(count, count))
 
 
 def _independent_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the numbers (k,) of some rows that are independent of each other, and a column (k,) for each of them.
+    """Return the numbers (k,) of the rows that do not depend on rows before them, and a column (k,) for each: that of
+    its largest entry once those rows are eliminated from it.
 
     rows : (r, c), of length 1.
     """

@@ -20,11 +20,11 @@ Symbols
 The proof
 1. Without any R: contacts of loops rest if the bound on |F*| that loops.py gives is below mu F_n
    (`at_rest_beside_loops`).
-2. For each load, without its part along Z, find R_f or R_c by springs at the contacts of X. Any friction that bears the
-   load would do; springs that are weaker where a contact has less friction left make the bounds of step 3 better, so
-   several stiffnesses are tried for the loads of loops. Before that, friction that bears a loop is sought on contacts
-   close to it, apart for both ends of its interval (nearby_friction.py). In between a mixture of both bears it, and
-   sizes of mixtures are no larger than those at the ends.
+2. For each load, without its part along Z, find R_f or R_c by springs at the contacts of X. Any friction that balances
+   the load is valid; springs that are weaker where a contact has less friction left make the bounds of step 3 better,
+   so several stiffnesses are tried for the loads of loops. Before that, friction that balances a loop is sought on
+   contacts close to it, separately for both ends of its interval (nearby_friction.py). In between a mixture of both
+   balances it, and sizes of mixtures are no larger than those at the ends.
 3. Then G = F + R_f f + R_c c. Its size at a contact of X is at most |F + R_c (middles of c)| + sum of |R_c| (half
    lengths of c) + sum of |R_f| (bounds on f).
 4. G does not quite balance. Let the torques of G - F* on the unknowns of X be v + Z a: a is what step 2 has left out of
@@ -83,8 +83,8 @@ def at_rest_beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
     normals have any direction. There are two ways to prove it:
 
     * A contact of a loop rests if a bound on its friction at every minimum is below its limit mu F_n.
-    * Contacts that can all roll exactly at once rest if friction below all their limits can take the place of that at
-      the minimum.
+    * Contacts that can all roll exactly at once rest if some friction below all their limits exerts the torques of that
+      at the minimum.
 
     bounds : bounds on the power, with the friction in which forces of fictitious springs at the contacts have balanced
         all torques. If no springs were made (`unknown` is None) nothing is proven.
@@ -92,19 +92,18 @@ def at_rest_beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
     """
     network, unknown = bounds.network, bounds.unknown
     found = np.zeros(len(network.acts), dtype=bool)
-    longest = np.linalg.norm(network.graph.normal, axis=1).max(initial=0.0)  # normals are taken for units
+    longest = np.linalg.norm(network.graph.normal, axis=1).max(initial=0.0)  # the proof takes normals for unit vectors
     if unknown is None or not longest < UP:
         return found
-    known, off = known_friction(bounds, far)
+    known, most_change = known_friction(bounds, far)
     rests = network.counts & ~known & ((network.holding - length(bounds.friction)).lower() > 0)
     # Contacts that can roll exactly are sought among those with friction left. Optimal friction is at most mu F_n, and
     # with damping eta (slip + far) more.
     limit = network.holding.most + np.where(network.slope.high > 0, network.slope.most * (network.slip.most + far), 0.0)
     number = numbered(unknown)
     exact = ExactMotions.of(network, number, rests)
-    friction_bounds = FrictionBounds(network, number, exact, bounds.friction, known, off * UP, limit * UP)
-    # Contacts in loops rest where they surely bear less than their limit; exactly rolling ones where some friction
-    # below all their limits can replace the optimal one.
+    friction_bounds = FrictionBounds(network, number, exact, bounds.friction, known, most_change * UP, limit * UP)
+    # Contacts in loops rest where the bound on their friction is below the limit.
     loop_pieces = friction_bounds.split_into_pieces()
     for piece in loop_pieces:
         found[piece.contacts] = piece.largest < (1 - ROUNDED_NORMAL) * network.holding.least[piece.contacts]
@@ -117,9 +116,8 @@ def at_rest_beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
 @dataclass(frozen=True)
 class ExactlyRolling:
     """The q contacts that can all roll exactly at once, on spheres with n unknown spin components. It is to be proven
-    that they bear the torques that changes of friction at the other contacts may cause.
-
-    A change is that from the stored friction to the friction at a minimum.
+    that friction on them, below its limits, can balance the torques of the friction at the other contacts, which
+    changes from the stored one to that at a minimum.
 
     friction_bounds : for all contacts of the packing, bounds on the size of the friction at minima, and of its change.
     loop_pieces : groups of other contacts that form loops. For each loop an interval is known that contains the
@@ -149,25 +147,25 @@ class ExactlyRolling:
 
     @cached_property
     def residual_unit(self) -> np.ndarray:
-        """(n,), a unit for each unknown, for bounds on corrections of the friction. Let v bound the size of the torques
-        along the unknowns: then a correction that takes them away is no larger than |unit * v| / floor, where `floor`
-        is that of the exact motions (step 4 at the head of this file). The unit, too, is that of the exact motions; in
-        parts that can move without slip it is the largest one of the part."""
+        """(n,), a unit for each unknown, for bounds on corrections of the friction. If v bounds the torques along the
+        unknowns, a correction that balances them is no larger than |unit * v| / floor, with the `floor` of the exact
+        motions (step 4 at the head of this file). The unit is also theirs; but in a part (what the contacts connect
+        through free spheres) that can move without slip it is the largest one of the part."""
         exact, number = self.friction_bounds.exact, self.friction_bounds.number
-        own: np.ndarray = exact.unit[number >= 0][self.columns]
+        unit: np.ndarray = exact.unit[number >= 0][self.columns]
         largest, has_motions = np.zeros(int(self.part.max()) + 1), np.zeros(int(self.part.max()) + 1, dtype=bool)
-        np.maximum.at(largest, self.part, own)
+        np.maximum.at(largest, self.part, unit)
         has_motions[self.part[np.diff(self.motions.indptr) > 0]] = True
-        return np.where(has_motions[self.part], largest[self.part], own)
+        return np.where(has_motions[self.part], largest[self.part], unit)
 
     @cached_property
     def motions(self) -> sparse.csr_array:
         """Matrix (n, z): each column is a motion of the n unknown spin components in which no exactly rolling contact
         slips. There are z independent ones; all others are sums of them."""
-        of = self.friction_bounds.exact.motions
-        if of is None:
+        exact = self.friction_bounds.exact.motions
+        if exact is None:
             return sparse.csr_array((len(self.columns), 0))
-        return sparse.csr_array(of.motion[:, : len(of.choices.chosen)])
+        return sparse.csr_array(exact.motion[:, : len(exact.choices.chosen)])
 
     @cached_property
     def products(self) -> tuple[np.ndarray, np.ndarray]:
@@ -224,18 +222,18 @@ class ExactlyRolling:
         change also changes the friction on loops; these torques are included.
         Second, (n, m): from the friction that circulates along each of m loops.
         """
-        rows, own = self.friction_bounds.rows[:, self.columns], tangent_rows(self.bounded_contacts)
-        place = np.full(rows.shape[0], -1)
-        place[own] = np.arange(len(own))
-        found, by_loops = [rows[own].T], [sparse.csr_array((len(self.columns), 0))]
+        rows, bounded = self.friction_bounds.rows[:, self.columns], tangent_rows(self.bounded_contacts)
+        place = np.full(rows.shape[0], -1)  # number of a row among those of `bounded_contacts`
+        place[bounded] = np.arange(len(bounded))
+        by_bounded, by_loops = [rows[bounded].T], [sparse.csr_array((len(self.columns), 0))]
         for piece in self.loop_pieces:
-            to_spheres, at = rows[tangent_rows(piece.contacts)].T, place[tangent_rows(piece.others)]
+            to_torques, at = rows[tangent_rows(piece.contacts)].T, place[tangent_rows(piece.others)]
             row, column = np.indices(piece.by_others.shape).reshape(2, -1)
-            shape = (len(piece.by_others), len(own))
+            shape = (len(piece.by_others), len(bounded))
             by_others = sparse.csr_array((piece.by_others.ravel(), (row, at[column])), shape=shape)
-            found.append(to_spheres @ by_others)
-            by_loops.append(sparse.csr_array(to_spheres @ piece.loops))
-        return sparse.csc_array(sum(found[1:], found[0])), sparse.csc_array(sparse.hstack(by_loops))
+            by_bounded.append(to_torques @ by_others)
+            by_loops.append(sparse.csr_array(to_torques @ piece.loops))
+        return sparse.csc_array(sum(by_bounded[1:], by_bounded[0])), sparse.csc_array(sparse.hstack(by_loops))
 
     @cached_property
     def intervals(self) -> tuple[np.ndarray, np.ndarray]:
@@ -251,14 +249,14 @@ class ExactlyRolling:
 
     @cached_property
     def unknown_torques(self) -> np.ndarray:
-        """(n,), bound on the size of the torque on each of n unknown spin components that `loads` leave out: torque
-        that the stored friction leaves over, and rounding."""
-        more = self.rounding * self.friction_bounds.most_change
+        """(n,), bound on the size of the torque on each of n unknown spin components that is no load: torque that the
+        stored friction leaves over, and rounding of the loads."""
+        rounded = self.rounding * self.friction_bounds.most_change
         for piece in self.loop_pieces:
             # terms of the sums that make the loads: friction off the loops, and that along each of them
             terms = piece.most_off_loops + weighted_lengths(piece.loops, np.abs(piece.middle) + piece.half_length)
-            more[piece.contacts] += piece.by_rounding + self.rounding * terms
-        found: np.ndarray = (self.friction_bounds.left_over + self.friction_bounds.sum_at_spheres(more))[
+            rounded[piece.contacts] += piece.by_rounding + self.rounding * terms
+        found: np.ndarray = (self.friction_bounds.left_over + self.friction_bounds.sum_at_spheres(rounded))[
             self.friction_bounds.sphere[self.columns]
         ] * UP
         return found
@@ -267,19 +265,16 @@ class ExactlyRolling:
     def margin(self) -> np.ndarray:
         """(q,), for each exactly rolling contact the friction that it has left: its limit mu F_n less the size of the
         stored friction."""
-        holding, force = (
-            self.friction_bounds.network.holding.least[self.contacts],
-            self.friction_bounds.friction[self.contacts],
-        )
-        return np.asarray(holding - np.linalg.norm(force, axis=1))
+        limit = self.friction_bounds.network.holding.least[self.contacts]
+        return np.asarray(limit - np.linalg.norm(self.friction_bounds.friction[self.contacts], axis=1))
 
     def rests(self) -> np.ndarray:
         """Return the mask (q,) of the exactly rolling contacts that are proven to rest at every minimum.
 
         Changes of friction at the other contacts exert torques (loads). Fictitious springs at the exactly rolling
-        contacts find friction that balances each load. If this friction and the stored one, for the largest loads, stay
-        below the limit at every contact of a part, the part rests. Springs are made weaker where contacts bear too
-        much, and tried again, up to MOST_TRIALS times."""
+        contacts find friction that balances each load. A part (what these contacts connect through free spheres) rests
+        if the sum of this and the stored friction, for the largest loads, is below the limit at each of its contacts.
+        Springs are made weaker at contacts with too much friction, and tried again, up to MOST_TRIALS times."""
         margin = np.maximum(self.margin, LEAST_MARGIN * self.margin.max())
         springs = SpringsUnderLoad.of(self, margin**2)
         most_change = self.friction_bounds.most_change[self.bounded_contacts]
@@ -287,77 +282,73 @@ class ExactlyRolling:
         limit = self.friction_bounds.network.holding.least[self.contacts]
         if springs is None:
             return found
-        faint, by_others = self._with_faint_torques(most_change), np.zeros(len(margin))
-        residual = self.unknown_torques + abs(self.loads[0]) @ np.repeat(np.where(faint, most_change, 0.0), 2) * UP
-        # Friction that other contacts may demand: theirs may have any direction, so the norm of what a unit demands
-        # times the bound on its size, summed.
-        others = np.flatnonzero(~faint)
+        # Small loads of other contacts are left to one last correction.
+        is_faint, by_others = self._with_faint_torques(most_change), np.zeros(len(margin))
+        residual = self.unknown_torques + abs(self.loads[0]) @ np.repeat(np.where(is_faint, most_change, 0.0), 2) * UP
+        # Sum of |R_f| (bounds on f): the friction that balances the loads of other contacts, whatever their direction.
+        others = np.flatnonzero(~is_faint)
         for begin in range(0, len(others), FORCES_AT_ONCE):
-            some = others[begin : begin + FORCES_AT_ONCE]
-            own, columns = most_change[some], (2 * some[:, None] + np.arange(2)).ravel()
-            force, left = springs.forces_for(self.loads[0][:, columns].toarray(), np.repeat(own, 2))
-            by_others += block_norms(force, 3) @ own
+            batch = others[begin : begin + FORCES_AT_ONCE]
+            most_f, columns = most_change[batch], (2 * batch[:, None] + np.arange(2)).ravel()
+            force, left = springs.forces_for(self.loads[0][:, columns].toarray(), np.repeat(most_f, 2))
+            by_others += block_norms(force, 3) @ most_f
             residual += left
         middle, half_length = self.intervals
         if 0 < len(middle) <= MOST_BORNE_LOOPS:
             found |= self._borne_nearby(by_others, residual)
-        # Friction along loops is known within intervals: their middles shift the friction, half lengths add to its
-        # size.
         for _ in range(0 if found.all() else MOST_TRIALS):
             force, left = springs.forces_for(self.loads[1].toarray(), np.abs(middle) + half_length)
-            moved = (force @ middle).reshape(-1, 3)
-            # |F + R_c (middles of c)| + sum of |R_c| (half lengths of c); `by_others` is the sum of |R_f| (bounds on f)
-            largest = np.linalg.norm(self.friction_bounds.friction[self.contacts] + moved, axis=1) + weighted_lengths(
-                force, half_length, 3
-            )
+            # |F + R_c (middles of c)| + sum of |R_c| (half lengths of c)
+            by_middles, by_lengths = (force @ middle).reshape(-1, 3), weighted_lengths(force, half_length, 3)
+            largest = np.linalg.norm(self.friction_bounds.friction[self.contacts] + by_middles, axis=1) + by_lengths
             found |= self._stay_below_limits(largest + by_others, residual + left)
             worst = float(((largest + by_others) / limit)[~found].max(initial=0.0))
             if found.all() or not len(half_length) or not worst < WORTH_A_TRIAL * last:
                 break
             last = worst
-            # Try again with weaker springs where contacts bear much of the friction that they have left.
-            share = (np.linalg.norm(moved, axis=1) + weighted_lengths(force, half_length, 3)) / np.maximum(
-                margin - by_others, LEAST_MARGIN * margin
-            )
-            eased = springs.weight * np.maximum(share / share.max(), LEAST_BORNE) ** -SPARED
-            springs = SpringsUnderLoad.of(self, eased)
+            # Try again with weaker springs where the loads of loops take much of the friction that is left.
+            left_by_others = np.maximum(margin - by_others, LEAST_MARGIN * margin)
+            share = (np.linalg.norm(by_middles, axis=1) + by_lengths) / left_by_others
+            weaker = springs.weight * np.maximum(share / share.max(), LEAST_BORNE) ** -SPARED
+            springs = SpringsUnderLoad.of(self, weaker)
             if springs is None:
                 break
         return found
 
     def _borne_nearby(self, by_others: np.ndarray, residual: np.ndarray) -> np.ndarray:
-        """Return the mask (q,) of the exactly rolling contacts that are proven to rest because contacts close to each
-        loop can bear the friction that may circulate along it. The mask is empty if this is not found for every loop.
+        """Return the mask (q,) of the exactly rolling contacts that are proven to rest because friction on contacts
+        close to each loop can balance the friction that may circulate along it. The mask is empty if such friction is
+        not found for every loop.
 
-        The friction along a loop lies in an interval. Friction that bears one end of it is searched, then friction that
-        bears the other end. Mixtures of both bear everything in between, and are nowhere larger than the larger of the
-        two. Where contacts are close to several loops, their demands are added.
+        The friction along a loop lies in an interval. Friction that balances one end of it is sought, then friction for
+        the other end. A mixture of both balances any value in between, and is nowhere larger than the larger of the
+        two. At contacts close to several loops the sizes for all of these are added.
 
-        by_others : (q,), friction that other contacts may demand of each contact.
+        by_others : (q,), friction at each contact that balances the loads of other contacts.
         residual : (n,), bound on the torque on each unknown that a last correction has to balance.
         """
         network, none = self.friction_bounds.network, np.zeros(len(by_others), dtype=bool)
         friction, (middle, half_length) = self.friction_bounds.friction[self.contacts], self.intervals
-        largest, close = np.linalg.norm(friction, axis=1), none.copy()
-        spare = (1 - 2 * ROUNDED_NORMAL) * network.holding.least[self.contacts] - by_others - self._corrected(residual)
+        largest, is_used = np.linalg.norm(friction, axis=1), none.copy()  # used by a loop before
+        limit = (1 - 2 * ROUNDED_NORMAL) * network.holding.least[self.contacts] - by_others - self._corrected(residual)
         for loop in range(len(middle)):
             load = self.loads[1][:, [loop]].toarray().ravel()
-            near, own = self._close_to(load)
-            if not len(own):  # no exactly rolling contact is near, and what is left of the load is rounding
+            spheres, close = self._close_to(load)
+            if not len(close):  # no exactly rolling contact is near, and the load is rounding
                 residual = residual + (abs(middle[loop]) + half_length[loop]) * np.abs(load) * UP
                 continue
-            given = np.where(close[own, None], 0.0, friction[own])
-            most = spare[own] - np.where(close[own], largest[own], 0.0)
+            given = np.where(is_used[close, None], 0.0, friction[close])
+            most = limit[close] - np.where(is_used[close], largest[close], 0.0)
             if not (most > 0).all():
                 return none
-            size = np.zeros(len(own))
+            size = np.zeros(len(close))
             for c in (middle[loop] - half_length[loop], middle[loop] + half_length[loop]):
-                change, left = self._change_nearby(near, own, (given, most), c * load)
+                change, left = self._change_nearby(spheres, close, (given, most), c * load)
                 size, residual = np.maximum(size, np.linalg.norm(given + change, axis=1)), residual + left
             if not (size < most).all():
                 return none
-            largest[own] = size + np.where(close[own], largest[own], 0.0)
-            close[own] = True
+            largest[close] = size + np.where(is_used[close], largest[close], 0.0)
+            is_used[close] = True
         return self._stay_below_limits(largest + by_others, residual)
 
     def _close_to(self, load: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -367,30 +358,32 @@ class ExactlyRolling:
         load : (n,), torques on the unknown spin components."""
         free, sphere = self.friction_bounds.network.free, self.friction_bounds.sphere[self.columns]
         ends = self.friction_bounds.network.graph.contact[:, self.contacts]
-        inside, start = np.zeros((2, len(free)), dtype=bool)
-        inside[sphere] = True
-        start[sphere[np.abs(load) > UNLOADED * np.abs(load).max(initial=0.0)]] = True
-        near = spheres_nearby(ends, inside, start, MOST_NEARBY)
+        rolls, loaded = np.zeros((2, len(free)), dtype=bool)
+        rolls[sphere] = True
+        loaded[sphere[np.abs(load) > UNLOADED * np.abs(load).max(initial=0.0)]] = True
+        near = spheres_nearby(ends, rolls, loaded, MOST_NEARBY)
         return near, np.flatnonzero((near | ~free)[ends].all(axis=0) & near[ends].any(axis=0))
 
     def _change_nearby(
-        self, near: np.ndarray, own: np.ndarray, borne: tuple[np.ndarray, np.ndarray], load: np.ndarray
+        self, spheres: np.ndarray, close: np.ndarray, before: tuple[np.ndarray, np.ndarray], load: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return a change of friction (k, 3) at k contacts that balances a load, such that the friction stays within
         limits if such a change is found; and a bound (n,) on the torques that are left over.
 
-        near, own : mask (N,) of spheres, and indices of the k contacts between them, as :meth:`_close_to` gives them.
-        borne : the friction (k, 3) before, and the limits (k,) that it shall not exceed.
+        spheres : (N,) mask of the spheres near the load.
+        close : (k,), indices, among the exactly rolling contacts, of those between these spheres.
+        before : the friction (k, 3) before, and the limits (k,) that it shall not exceed.
         load : (n,), torques on the unknown spin components.
         """
-        given, most = borne
-        columns = np.flatnonzero(near[self.friction_bounds.sphere[self.columns]])
-        rows = self.tangential_rows[tangent_rows(own)][:, columns].toarray()
-        tangents = self.friction_bounds.tangents[self.contacts[own]]
+        given, most = before
+        columns = np.flatnonzero(spheres[self.friction_bounds.sphere[self.columns]])
+        rows = self.tangential_rows[tangent_rows(close)][:, columns].toarray()
+        tangents = self.friction_bounds.tangents[self.contacts[close]]
         along = np.einsum("cak,ck->ca", tangents, given)
-        found = friction_within_limits(rows, along, most, load[columns]) - along
-        change = np.einsum("ca,cak->ck", found, tangents)
-        exact = self.rows[(3 * own[:, None] + np.arange(3)).ravel()].T
+        change_along = friction_within_limits(rows, along, most, load[columns]) - along
+        change = np.einsum("ca,cak->ck", change_along, tangents)
+        # Torques of the change by the matrix without rounding, with the rounding of these sums.
+        exact = self.rows[(3 * close[:, None] + np.arange(3)).ravel()].T
         rounded = self.rounding * (np.abs(load) + abs(exact) @ np.abs(change).ravel())
         return change, (np.abs(load + exact @ change.ravel()) + rounded) * UP
 
@@ -414,19 +407,19 @@ class ExactlyRolling:
 
     def _stay_below_limits(self, largest: np.ndarray, residual: np.ndarray) -> np.ndarray:
         """Return the mask (q,) of the exactly rolling contacts that lie in parts all of whose contacts stay below their
-        friction limits. (Parts share no free sphere.)
+        friction limits. (A part is what these contacts connect through free spheres.)
 
         largest : (q,), bound on the size of the friction of each contact before the last correction.
         residual : (n,), bound on the torque on each unknown that the last correction has to balance. Torques along
             motions without slip are left out, as they cancel (step 4 at the head of this file).
         """
-        network, own = self.friction_bounds.network, self.part_of_contact
-        bears = (largest + self._corrected(residual)) * UP < (1 - ROUNDED_NORMAL) * network.holding.least[self.contacts]
-        return np.asarray(np.bincount(own, ~bears)[own] == 0)
+        limit, part = self.friction_bounds.network.holding.least[self.contacts], self.part_of_contact
+        is_below = (largest + self._corrected(residual)) * UP < (1 - ROUNDED_NORMAL) * limit
+        return np.asarray(np.bincount(part, ~is_below)[part] == 0)
 
     def _corrected(self, residual: np.ndarray) -> np.ndarray:
-        """Return a bound (q,) on the change of the friction of each exactly rolling contact by the last correction;
-        exact_motions.py, step 4, bounds it.
+        """Return a bound (q,) on the change of the friction of each exactly rolling contact by the last correction, by
+        step 4 of exact_motions.py.
 
         residual : (n,), bound on the torque on each unknown that the correction has to balance, without torques along
             motions that make no contact slip.
@@ -470,10 +463,9 @@ class SpringsUnderLoad:
     def forces_for(self, load: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return friction forces at the q contacts that balance each of m loads, and a bound on the torques left over.
 
-        A load is a torque on each of the n unknown spin components. The caller uses sums of a_j load_j, with numbers
-        a_j of which only |a_j| <= most_j is known. No friction can balance the part of a load along motions, changes of
-        the spins that make no contact slip. This part is left out, since these parts cancel in the sum that the caller
-        uses.
+        A load is a torque on each of the n unknown spin components. The caller adds loads times numbers a_j of which
+        only |a_j| <= most_j is known. No friction can balance the part of a load along motions, changes of the spins
+        that make no contact slip. These parts cancel in the sum of all loads, so they are left out.
 
         load : (n, m), torques.
         most : (m,), bound on |a_j|.
@@ -483,7 +475,7 @@ class SpringsUnderLoad:
         """
         rows, weight, scale = self.loaded.rows, np.repeat(self.weight, 3)[:, None], self.scale[:, None]
         force, (left, amounts) = np.zeros((rows.shape[0], load.shape[1])), self._without_motions(load)
-        for _ in range(CARRYING_STEPS):  # each step bears what the one before has left over
+        for _ in range(CARRYING_STEPS):  # each step balances the torques that the one before has left over
             force -= weight * (rows @ (scale * self.factor.solve(scale * left)))
             left, amounts = self._without_motions(load + rows.T @ force)
         # Rounding: the sizes of all terms of these sums, times the bound on the relative error of a sum.

@@ -30,12 +30,13 @@ NEGLIGIBLE = 1e-20  # leftover torque, in units of the largest friction, that no
 
 @dataclass(frozen=True)
 class LooseFloor:
-    """What is proven of the resting contacts that need not roll exactly, and of the spheres that exact motions leave
-    out: some spins give any slips to these contacts.
+    """A proven relation between spins and slips of the *loose* contacts of a packing: those that rest, but need not
+    roll exactly. Spins of the free spheres that no exactly rolling contact touches can give any slips y to them.
 
     floor : (R,), for each of R samples; infinite if there is no such contact, 0 if nothing is proven.
     unit : (E,), a number for each contact. Slips y need spins no larger than the norm of unit |y| over `floor`.
-        Friction on a contact, where all of it exerts torques of the norm |r|, is no larger than unit |r| / floor.
+        If friction on the loose contacts exerts torques of the norm |r|, its size at a contact is at most
+        unit |r| / floor.
     """
 
     floor: np.ndarray
@@ -44,8 +45,8 @@ class LooseFloor:
 
 @dataclass(frozen=True)
 class Coordinates:
-    """The coordinates in which the distance of a minimum is bounded: m numbers from which the changes of the n unknown
-    spin components follow. Here they are these unknowns themselves, m = n.
+    """Coordinates in which the distance of a minimum is bounded: m numbers from which the changes of the n unknown spin
+    components follow. In this class they are these unknowns themselves, m = n.
 
     form : the curvature of the potential, a quadratic form |B x|^2 of the coordinates x.
     """
@@ -205,9 +206,8 @@ class Centre:
 
     def curvature(self, stiffness: np.ndarray | None = None) -> Form | None:
         """Return the curvature of the potential at these spins, as a quadratic form |B x|^2 of the changes x of the n
-        unknowns, with fictitious springs at the T resting contacts; None if some unknown changes no slip. These are 0
-        for motions in which the contacts rest, so they do not change the curvature there, and let an elimination work
-        in all unknowns.
+        unknowns; None if some unknown changes no slip. Fictitious springs at the T resting contacts are included, so
+        that the matrix of all unknowns can be eliminated. Motions in which these contacts rest do not stretch them.
 
         stiffness : (T,), of these springs, force over slip speed; None for mu F_n / median |y|.
         """
@@ -217,17 +217,16 @@ class Centre:
         return Form.of(rows, doubt, self.place, parts=self.parts, samples=self.samples)
 
     def usual_stiffness(self, contacts: np.ndarray) -> np.ndarray:
-        """Return stiffnesses (q,) of springs at some contacts, with indices `contacts` (q,), that are like those of
-        slipping ones: mu F_n / median |y|, force over slip speed."""
-        some = self.with_friction
-        found: np.ndarray = self.network.holding.value[contacts]
-        return found / (np.median(self.size.value[some]) if len(some) else 1.0)
+        """Return stiffnesses (q,) of springs at the contacts with the indices `contacts` (q,), force over slip speed:
+        mu F_n / |y| with the median |y| of slipping contacts."""
+        limit: np.ndarray = self.network.holding.value[contacts]
+        return limit / (np.median(self.size.value[self.with_friction]) if len(self.with_friction) else 1.0)
 
     def rows_of_curvature(
         self, springs: np.ndarray, stiffness: np.ndarray
     ) -> tuple[sparse.csr_array, sparse.csr_array]:
-        """Return the matrix B (rows, n), and a matrix of the same shape with bounds on the errors of its entries, also
-        for two further products with each.
+        """Return the matrix B (rows, n), and a matrix of the same shape with bounds on the errors of its entries and on
+        the rounding of two further products with each.
 
         springs : (q,), indices of resting contacts that get fictitious springs.
         stiffness : (q,), of these springs, force over slip speed.
@@ -238,76 +237,77 @@ class Centre:
         * if it has a spring, three: the components of its slip, times the root of the stiffness.
         """
         slipping, some, strength = self.slipping, self.with_friction, self.network.holding.value
-        turning, flowing = slipping[some], slipping[self.damping.high > 0]
+        rubbing, damped = slipping[some], slipping[self.damping.high > 0]  # indices of contacts, as `springs` are
         across = np.cross(
-            self.network.graph.normal[turning], np.stack([part.value[turning] for part in self.slips], axis=1)
+            self.network.graph.normal[rubbing], np.stack([part.value[rubbing] for part in self.slips], axis=1)
         )
         across /= np.linalg.norm(across, axis=1)[:, None]  # unit vectors across the slip and the normal
-        root = np.sqrt(strength[turning] / self.size.value[some])
-        # Weights by which the rows of K (columns of this matrix) are combined to the rows of B.
-        at = np.concatenate([self.rows_of(turning), self.rows_of(flowing), self.rows_of(springs)])
-        further = 3 * (len(flowing) + len(springs))  # number of rows after those of friction
+        friction_root = np.sqrt(strength[rubbing] / self.size.value[some])
+        # B = (a sparse matrix of weights) K. A row of friction combines three rows of K, any other row has one.
+        column = np.concatenate([self.rows_of(rubbing), self.rows_of(damped), self.rows_of(springs)])
+        further = 3 * (len(damped) + len(springs))  # number of rows after those of friction
         row = np.append(np.tile(np.arange(len(some)), 3), len(some) + np.arange(further))
         shape = (len(some) + further, self.rows.shape[0])
-        damped = np.sqrt(self.network.slope.value[flowing])
-        size_of = np.concatenate([np.tile(root, 3), np.tile(damped, 3), np.tile(np.sqrt(stiffness), 3)])
+        damping_root = np.sqrt(self.network.slope.value[damped])
+        root = np.concatenate([np.tile(friction_root, 3), np.tile(damping_root, 3), np.tile(np.sqrt(stiffness), 3)])
         unit = np.append(across.T.ravel(), np.ones(further))
-        rows = sparse.csr_array(sparse.csr_array((size_of * unit, (row, at)), shape=shape) @ self.rows)
+        rows = sparse.csr_array(sparse.csr_array((root * unit, (row, column)), shape=shape) @ self.rows)
         # A component of a unit vector is off by a few roundings of the vector: those of slip, products and difference.
         # An error e of the slip y turns it by up to 2 e / |y|, and changes the root by less. Roots, divisions, the
         # product and the sum of two products are rounded by a share of each entry: six roundings, and 12 EPS are 24.
-        error = np.sqrt(sum(part.error[turning] ** 2 for part in self.slips))
-        off = np.zeros(len(size_of))
+        error = np.sqrt(sum(part.error[rubbing] ** 2 for part in self.slips))
+        off = np.zeros(len(root))
         off[: 3 * len(some)] = np.tile(4 * EPS + 4 * error / self.size.least[some], 3)
-        unsure = size_of * (off + 12 * EPS * np.abs(unit))
-        return rows, sparse.csr_array(sparse.csr_array((unsure, (row, at)), shape=shape) @ abs(self.rows))
+        unsure = root * (off + 12 * EPS * np.abs(unit))
+        return rows, sparse.csr_array(sparse.csr_array((unsure, (row, column)), shape=shape) @ abs(self.rows))
 
     def improved(self) -> Centre:
-        """Return spins closer to the minimum among those spins at which the resting contacts do not slip, and the
-        friction that these contacts have to bear then. Nothing about the result is proven.
+        """Return a copy with spins closer to the minimum among those at which the resting contacts do not slip, and
+        with the friction of these contacts there. Nothing about the result is proven.
 
-        These are steps of Newton's method with stiff springs at the resting contacts (an augmented Lagrangian). Each
-        step solves once, with one factorised matrix: the curvature at slipping contacts, and the springs. What a spring
-        bears after a step is added to the friction of its contact. So slips of resting contacts, and torques, become
-        smaller in each step by the ratio of the stiffness of slipping contacts to that of springs. Steps are made while
-        each of them more than halves the norm of the leftover torques, and these are not yet negligible."""
+        The method is Newton's, with stiff springs at the resting contacts (an augmented Lagrangian). One matrix, the
+        curvature of slipping contacts and of springs, is factorised once. After each step the force of a spring is
+        added to the friction of its contact. So a step reduces slips of resting contacts, and torques, by the ratio of
+        the stiffness of slipping contacts to that of springs. Steps end once one does not halve the norm of the
+        leftover torques, or these are negligible."""
         stiffness = self._stiffness_of_springs()
         curvature = self.curvature(stiffness)
         factor = None if curvature is None else curvature.elimination.factorised()
         if curvature is None or factor is None:
             return self
-        # The last rows of the curvature are those of the springs: `fixed` gives what each spring bears.
-        there, rest = self.number >= 0, slice(curvature.rows.shape[0] - 3 * len(self.resting), None)
-        fixed, root = curvature.rows[rest], np.tile(np.sqrt(stiffness), 3)
+        # The last rows of the curvature are those of the springs: their slips times the root of the stiffness.
+        is_unknown, last = self.number >= 0, slice(curvature.rows.shape[0] - 3 * len(self.resting), None)
+        spring_rows, root = curvature.rows[last], np.tile(np.sqrt(stiffness), 3)
         best, least, found = self, np.inf, self
         while True:
-            torque = found.torque_values[there]
+            torque = found.torque_values[is_unknown]
             if not (left := float(np.linalg.norm(curvature.scale * torque))) < least / 2:
                 return best
             best, least = found, left
             if np.abs(torque).max() < NEGLIGIBLE:
                 return best
-            # A Newton step; what the springs bear in it is added to the friction of the resting contacts.
+            # A Newton step; the forces of the springs in it are added to the friction of the resting contacts.
             stretch = root * np.concatenate([part.value[self.resting] for part in best.slips])
-            step = -factor.solve(curvature.scale * torque + fixed.T @ stretch)
-            borne = root * (stretch + fixed @ step)
-            found = best.moved(curvature.scale * step, -borne.reshape(3, -1))
+            step = -factor.solve(curvature.scale * torque + spring_rows.T @ stretch)
+            spring_force = root * (stretch + spring_rows @ step)
+            found = best.moved(curvature.scale * step, -spring_force.reshape(3, -1))
 
     def _stiffness_of_springs(self) -> np.ndarray:
-        """Return how stiff the springs at resting contacts are in `improved`, (T,), force over slip speed: at least
-        FIRM times the median stiffness mu F_n / |y| of slipping contacts, and STIFFER times the stiffness of each of
-        those that are at most NEARBY contacts away through free spheres."""
-        own = np.zeros(len(self.network.counts))
-        own[self.slipping] = self.damping.value
-        own[self.slipping[self.with_friction]] += (self.strength.value / self.size.value)[self.with_friction]
-        median = float(np.median(own[self.slipping])) if len(self.slipping) else 1.0
+        """Return the stiffness (T,), force over slip speed, of the spring at each of the T resting contacts in Newton's
+        method. The stiffness of a slipping contact is mu F_n / |y| + eta. A spring has at least FIRM times the median
+        of these, and STIFFER times that of each slipping contact at most NEARBY contacts away through free spheres."""
+        stiffness = np.zeros(len(self.network.counts))
+        stiffness[self.slipping] = self.damping.value
+        stiffness[self.slipping[self.with_friction]] += (self.strength.value / self.size.value)[self.with_friction]
+        median = float(np.median(stiffness[self.slipping])) if len(self.slipping) else 1.0
+        # Each pass takes the largest stiffness over to neighbouring contacts, those that share a free sphere.
         for _ in range(NEARBY):
-            stiffest = np.zeros(len(self.network.free))
+            largest = np.zeros(len(self.network.free))
             for end in self.network.graph.contact:
-                np.maximum.at(stiffest, end, own)
-            stiffest[~self.network.free] = 0.0
-            own = np.maximum(own, stiffest[self.network.graph.contact].max(axis=0))
-        found: np.ndarray = np.maximum(FIRM * median, STIFFER * own[self.resting])
+                np.maximum.at(largest, end, stiffness)
+            largest[~self.network.free] = 0.0
+            stiffness = np.maximum(stiffness, largest[self.network.graph.contact].max(axis=0))
+        found: np.ndarray = np.maximum(FIRM * median, STIFFER * stiffness[self.resting])
         return found
 
     def moved(self: Kind, step: np.ndarray, less_friction: np.ndarray) -> Kind:
@@ -315,11 +315,11 @@ class Centre:
 
         step : (n,), added to the unknown spins (times radius).
         less_friction : (3, T), subtracted from the friction of the T resting contacts, by component."""
-        moved, less = np.zeros(self.number.shape), np.zeros((3, len(self.network.graph.normal)))
-        moved[self.number >= 0], less[:, self.resting] = step, -less_friction
+        of_spin, of_friction = np.zeros(self.number.shape), np.zeros((3, len(self.network.graph.normal)))
+        of_spin[self.number >= 0], of_friction[:, self.resting] = step, -less_friction
         spin, resting = (
             [_without_error(part + Enclosure.exact(by)) for part, by in zip(parts, change, strict=True)]
-            for parts, change in ((self.spin, moved.T), (self.resting_friction, less))
+            for parts, change in ((self.spin, of_spin.T), (self.resting_friction, of_friction))
         )
         return replace(self, spin=spin, resting_friction=resting)
 
@@ -328,12 +328,13 @@ class Centre:
         spins|; and the mask (R,) of the samples in which two things are proven:
 
         * among spins at which no resting contact slips there is one minimum, and it is within this bound;
-        * at it the resting contacts can balance, within friction, the torques of the slipping ones.
+        * at this minimum friction of the resting contacts, below their limits, can balance the torques of the slipping
+          ones.
 
         Then it is a minimum over all spins, and all minima have its slips.
         """
         none = np.zeros(len(self.slipping))
-        if not self._resting_contacts_can_bear(none, none).any():  # which takes little time
+        if not self._resting_contacts_can_bear(none, none).any():  # a quick check, as if the minimum were here
             return np.full(len(self.slipping), np.inf), np.zeros(self.network.count, dtype=bool)
         distance, turned, proven = self._distance_of_minimum()
         return distance, proven & self._resting_contacts_can_bear(distance, turned) if proven.any() else proven
@@ -362,14 +363,13 @@ class Centre:
         found: np.ndarray = np.sqrt(squares.reshape(self.network.count, -1).sum(axis=1))
         return found
 
-    def _samples_where_all(self, holds: np.ndarray, sample: np.ndarray) -> np.ndarray:
-        """Return the mask (R,) of the samples for which all entries of the mask `holds` (q,) are True; also of those
-        without any entry.
+    def _samples_where_all(self, mask: np.ndarray, sample: np.ndarray) -> np.ndarray:
+        """Return the mask (R,) of the samples for which all entries of `mask` are True, or that have no entry.
 
-        holds : (q,) mask.
+        mask : (q,) mask.
         sample : (q,), the sample of each entry.
         """
-        found: np.ndarray = np.bincount(sample, ~holds, self.network.count) == 0
+        found: np.ndarray = np.bincount(sample, ~mask, self.network.count) == 0
         return found
 
     @property
@@ -387,8 +387,8 @@ class Centre:
         ).most
 
     def relative_to_slip(self, change: np.ndarray) -> np.ndarray:
-        """Return `change` (S,) divided by the slip speeds of the S slipping contacts, rounded up, (S,). For contacts
-        without friction 0 is returned: no friction turns with the direction of their slip."""
+        """Return `change` (S,) divided by the slip speeds of the S slipping contacts, rounded up, (S,). It is 0 for
+        contacts without friction, whose force does not depend on the direction of the slip alone."""
         found = np.zeros(len(self.slipping))
         found[self.with_friction] = (change / self.size.least)[self.with_friction] * UP
         return found
@@ -399,11 +399,11 @@ class Centre:
         that are no unknowns.
 
         unsure : (E,), bound on that difference, a force, for each contact.
-        less : (N, 3), torques that are subtracted before; None for none.
+        less : (N, 3), torques that are subtracted from those of `friction` first; None for none.
         """
         less = np.zeros(self.number.shape) if less is None else less
-        parts = [part - Enclosure.exact(taken) for part, taken in zip(self.torques, less.T, strict=True)]
-        found = np.stack([part.most for part in parts], axis=1)
+        torques = [part - Enclosure.exact(taken) for part, taken in zip(self.torques, less.T, strict=True)]
+        found = np.stack([part.most for part in torques], axis=1)
         for end in self.network.graph.contact:
             np.add.at(found, end, unsure[:, None] * UP)
         return np.where(self.number >= 0, found * UP, 0.0)
@@ -413,13 +413,14 @@ class Centre:
         """(S,), for each of S slipping contacts a bound on the distance of its slip from that at some spins in V. V are
         all spins at which no resting contact slips.
 
-        Let y be the slips of the loose contacts (those that need not roll exactly). A change of spins whose norm is at
-        most |unit y| / floor brings all of them to rest (`LooseFloor`). It changes another slip by at most twice its
-        norm, and only at the loose spheres, so that the bound is 0 elsewhere."""
+        Let y be the slips of the loose contacts (those that rest, but need not roll exactly). Some change of spins
+        brings all of them to rest; its norm is at most |unit y| / floor, with unit and floor of `LooseFloor`. It moves
+        only the loose spheres, those without an exactly rolling contact, and changes another slip of these by at most
+        twice its norm. The bound is 0 for contacts elsewhere."""
         loose = np.setdiff1d(self.resting, np.flatnonzero(self.exact.contacts))  # they need not roll exactly
-        unit, of_loose = self.loose.unit[loose], self.network.sample_of(loose)
-        missed = np.sqrt(sum(self._norms(unit * part.most[loose], of_loose) ** 2 for part in self.slips))
-        change_of_spins = np.where(missed > 0, missed / self.loose.floor * UP, 0.0)
+        unit, sample = self.loose.unit[loose], self.network.sample_of(loose)
+        scaled_slip = np.sqrt(sum(self._norms(unit * part.most[loose], sample) ** 2 for part in self.slips))
+        change_of_spins = np.where(scaled_slip > 0, scaled_slip / self.loose.floor * UP, 0.0)
         ends = self.network.graph.contact[:, self.slipping]
         return np.where(self._loose_spheres[ends].any(axis=0), 2 * change_of_spins[self._sample] * UP, 0.0)
 
@@ -430,84 +431,86 @@ class Centre:
         return None if curvature is None else Coordinates(curvature)
 
     def _distance_of_minimum(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Bound how far the minimum is, the only one among the spins at which no resting contact slips; call these V.
+        """Bound how far the minimum is, the only one in V, which are all spins at which no resting contact slips.
         Return three arrays:
 
         1. for each of the S slipping contacts a bound (S,) on |slip at the minimum - slip at these spins|,
         2. for each a bound (S,) on the difference between the unit vectors along both, 0 without friction,
         3. the mask (R,) of the samples for which this is proven.
 
-        Proof: the curvature of the potential along V is at least tau, and its slope is small. With the bound `reach` of
-        it (`_reach`), and x the change of the coordinates to the minimum, each in its own unit,
+        Proof. Along V the potential has at least the curvature tau and a small slope, with the bound rho of `_radius`.
+        Let x be the change of the coordinates to the minimum, each in its own unit. Then
 
-            |x| <= 8.4 reach    and    |B x| <= 9 tau^1/2 reach.
+            |x| <= 8.4 rho    and    |B x| <= 9 tau^1/2 rho.
 
-        Where these factors come from (the product of these three is below 8.34):
-        1 / 0.72, as friction resists a change by at least that share of its curvature;
-        3, as the curvature that counts is that in V. It is at least 0.8 of |B x|^2 where slips are a quarter longer
-           there, times (1 - 8^-1/2)^2 as directions lose tau |x|^2 / 8 at most (checked here), which is at most
-           |B x|^2 / 8: that is 0.334 |B x|^2, more than a third;
-        2, as |B z| and |B x| are taken of B as doubles have it. What it misses has a norm d below 0.71 tau^1/2: the
-           proof of tau asks for 2 d m < tau, with m^2 >= tau above all eigenvalues, or for a number above 2 d^2 that is
-           below tau (`_floor_by_guess`).
+        The factors are products, below 8.34, of three numbers:
+        1 / 0.72 : friction resists a change by at least 0.72 of its curvature.
+        3 : the curvature at spins of V is at least |B x|^2 / 3. Slips that are a quarter longer there leave 0.8 of it,
+            and other directions take away at most tau |x|^2 / 8 (checked here), that is |B x|^2 / 8, which leaves
+            (1 - 8^-1/2)^2: in all 0.334 |B x|^2.
+        2 : |B z| and |B x| are taken of B as doubles have it. Its error has a norm d below 0.71 tau^1/2: the proof of
+            tau asks for 2 d m < tau, with m^2 >= tau above all eigenvalues, or for a number above 2 d^2 that is below
+            tau (`_floor_by_guess`).
 
-        How far a slip turns. |B x| bounds each of its rows: the change across a slip is at most that over
-        (mu F_n / |y|)^1/2. A change d with a part d_a across turns the slip y by an angle whose sine is at most
-        |d_a| / (|y| - |d|), where |d| is at most a quarter of |y|. Unit vectors at an angle below asin 1/4 differ by at
-        most 1.01 times its sine: in all by less than 1.4 |d_a| / |y|. They differ by no more than 2 |d| / |y|, too.
+        How far a slip y turns. No row of B x exceeds |B x|, so the change of y across itself is at most
+        |B x| / (mu F_n / |y|)^1/2. A change d, |d| <= |y| / 4, with a part d_a across y turns it by an angle with a
+        sine of at most |d_a| / (|y| - |d|). Unit vectors at an angle below asin 1/4 differ by at most 1.01 times its
+        sine: in all by less than 1.4 |d_a| / |y|. They differ by no more than 2 |d| / |y|, too.
         """
         size, strength, sample, to_v = self.size.most, self.strength.least, self._sample, self.distance_to_v
-        slips = self._samples_where_all(self.size.least[self.with_friction] > 0, sample[self.with_friction])
-        slips &= self.loose.floor > 0
-        coordinates = self.coordinates() if slips.any() else None
+        can_be_tried = self._samples_where_all(self.size.least[self.with_friction] > 0, sample[self.with_friction])
+        can_be_tried &= self.loose.floor > 0
+        coordinates = self.coordinates() if can_be_tried.any() else None
         if coordinates is None:
-            return np.full(len(size), np.inf), np.full(len(size), np.inf), np.zeros_like(slips)
+            return np.full(len(size), np.inf), np.full(len(size), np.inf), np.zeros_like(can_be_tried)
         floor, samples = coordinates.form.floor_in_units(), coordinates.form.elimination.samples
         tau, scale = floor.tau, coordinates.form.scale * floor.unit
-        reach = self._reach(coordinates, floor)
+        radius = self._radius(coordinates, floor)  # rho
         rows = sparse.csr_array(self.rows[self.rows_of(self.slipping)])
         changes, lengths = coordinates.changes_of_slips(rows, scale)
-        distance = (to_v + 8.4 * lengths * reach[sample] * UP**2 + TINY) * UP
+        distance = (to_v + 8.4 * lengths * radius[sample] * UP**2 + TINY) * UP
         root = np.sqrt(tau[sample] * size / np.maximum(strength, TINY))
-        across = np.where(strength > 0, 9 * root * reach[sample], np.inf)
+        across = np.where(strength > 0, 9 * root * radius[sample], np.inf)
         # fmin: the second bound holds alone where the first one is no number, as without any unknown
         relative_change = self.relative_to_slip(distance)
         turned = np.fmin(1.4 * self.relative_to_slip(to_v + across), 2 * relative_change) * UP**2
-        # Two minima would differ by a motion that changes all slips along their directions alone. Its curvature would
-        # be no more than what is lost as slips turn, turned^2 mu F_n / |y| for each: below tau / 8. But it is tau or
-        # more: so there is just one.
+        # There is just one minimum. Two would differ by a motion that changes all slips along their directions alone.
+        # Its curvature would come from the turning of slips only, turned^2 mu F_n / |y| for each: it would be below
+        # tau / 8. But it is tau or more.
         lost = np.tile(np.sqrt(turned * self.relative_to_slip(turned * self.strength.most)) * UP, 3)
         lost = largest_eigenvalue(sparse.csr_array(sparse.diags_array(lost) @ changes), LOST_STEPS, samples)
         changes_little = self._samples_where_all(relative_change <= MOST_RELATIVE_CHANGE, sample)
-        return distance, turned, slips & (tau > 0) & changes_little & (lost * UP < tau / 8)
+        return distance, turned, can_be_tried & (tau > 0) & changes_little & (lost * UP < tau / 8)
 
-    def _reach(self, coordinates: Coordinates, floor: Floor) -> np.ndarray:
-        """Return for each of R samples the number reach (R,), by which the distance of the minimum is bounded,
+    def _radius(self, coordinates: Coordinates, floor: Floor) -> np.ndarray:
+        """Return for each of R samples the number rho (R,) that bounds the distance of the minimum,
 
-            reach = (|B z| + |r - B^T B z| / tau^1/2 + |a|) / tau^1/2,
+            rho = (|B z| + |r - B^T B z| / tau^1/2 + |a|) / tau^1/2,
 
         in coordinates each of which has its own unit, for the motion z of :func:`newton_step`.
 
         coordinates : the coordinates, with the matrix B.
         floor : tau, the units, and a factor of B^T B.
 
-        The slope of the potential along V consists of the torques r that friction leaves over, and of the vector a for
-        the angle between friction and slip. Friction F at a small angle to the slip has a part F angle across it, which
-        counts in a: over the root of the curvature F / |y|, that of friction and damping together, it is
-        angle (F |y|)^1/2. The part along the slip is shorter by F angle^2 / 2 at most, which counts in r, as does what
-        the size of F misses.
+        The slope of the potential, along spins at which no resting contact slips, has two parts: the torques r that
+        friction leaves over, and a vector a for the angle between friction and slip. Friction F at a small angle to the
+        slip y has a component F angle across y. Divided by the root of the curvature F / |y| (of friction and damping
+        together) it is angle (F |y|)^1/2, an entry of a. Along y this F is shorter by F angle^2 / 2 at most, which is
+        added to r, like the difference between the size of F and that of the law.
         """
-        form, there, values = coordinates.form, self.number >= 0, self.torque_values
+        form, is_unknown, values = coordinates.form, self.number >= 0, self.torque_values
         angle, size_error, size_by_law = self._distance_from_slip_direction(self.distance_to_v)
         unsure = np.zeros(len(self.network.counts))
         unsure[self.slipping] = size_error + size_by_law * angle**2 * UP
-        slope, inexact = coordinates.along(values[there]), self._largest_torques(unsure, values)
-        pull, taken, rounded = newton_step(form, floor, slope)
-        left = np.abs(slope - taken) * UP + rounded + coordinates.bounded_along(values[there], inexact[there])
-        of_angle = size_by_law * self.size.most * angle**2 + self.damping.most * self.distance_to_v**2
-        of_angle = np.bincount(self._sample, of_angle, len(floor.tau))
+        slope, inexact = coordinates.along(values[is_unknown]), self._largest_torques(unsure, values)
+        size_of_step, balanced, rounded = newton_step(form, floor, slope)  # |B z|, B^T B z, rounding of the latter
+        left = (
+            np.abs(slope - balanced) * UP + rounded + coordinates.bounded_along(values[is_unknown], inexact[is_unknown])
+        )
         left = form.elimination.samples.norms(form.scale * floor.unit * left)
-        found: np.ndarray = left / floor.tau + (pull + np.sqrt(of_angle)) / np.sqrt(floor.tau)
+        squares = size_by_law * self.size.most * angle**2 + self.damping.most * self.distance_to_v**2
+        size_of_a = np.sqrt(np.bincount(self._sample, squares, len(floor.tau)))
+        found: np.ndarray = left / floor.tau + (size_of_step + size_of_a) / np.sqrt(floor.tau)
         return found
 
     def _distance_from_slip_direction(self, to_v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -532,22 +535,22 @@ class Centre:
         """Return the mask (R,) of the samples in which it is proven that the T resting contacts can balance the torques
         of the S slipping contacts, with friction below the limit of each.
 
-        The proof is about the constrained minimum: the spins of least potential among those at which no resting contact
-        slips. The spins at hand are only near it.
+        These are the torques at the constrained minimum: the spins of least potential among those at which no resting
+        contact slips. The given spins are near it.
 
-        distance : (S,), bound on |slip at the constrained minimum - slip at hand| of each slipping contact.
+        distance : (S,), bound on |slip at the constrained minimum - given slip| of each slipping contact.
         turned : (S,), bound on the difference between the unit vectors along these two slips.
         """
         network, exact = self.network, self.exact
-        # The proof is about the normals as stored. The true ones differ from them by rounding, and a tie of theirs must
-        # not be decided by it. So contacts have to bear such changes of the torques at hand as well.
+        # The proof holds for the stored normals. True ones differ from them by rounding, which must not decide whether
+        # a contact at its limit slips. So contacts have to bear such changes of the given torques as well.
         unsure = np.where(network.counts, ROUNDED_NORMAL * length(self.friction).most, 0.0)
         unsure[self.slipping] += self._distance_from_law + turned * self.strength.most + self.damping.most * distance
         torque = self._largest_torques(unsure)
         # The friction of resting contacts is corrected in two steps: first at the loose contacts (those that need not
-        # roll exactly), which balances the loose spheres; then at the exactly rolling ones. The size of either is at
-        # most that of its torques over a proven floor. The first also exerts torques on the spheres of the second, each
-        # contact no more than the size of its correction.
+        # roll exactly), which balances the loose spheres; then at the exactly rolling ones. The size of a correction is
+        # at most that of its torques over a proven floor. The first one also exerts torques on exactly rolling spheres,
+        # at each contact no more than its size.
         sample, rolls = network.sample_of(self.resting), exact.contacts[self.resting]
         left = self._norms_on_spheres(torque, self._loose_spheres) / self.loose.floor * UP
         change = np.where(rolls, 0.0, self.loose.unit[self.resting] * left[sample] * UP)
@@ -569,14 +572,13 @@ def _without_error(values: Enclosure) -> Enclosure:
 
 
 def newton_step(curvature: Form, floor: Floor, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Find a motion z that takes away as much as possible of given torques, about one step of Newton's method. Return
-    three arrays:
+    """Find a motion z with torques B^T B z close to given ones, about one step of Newton's method. Return three arrays:
 
-    1. a bound on |B z| for each sample, (R,);
+    1. a bound on |B z| for each of R samples, (R,);
     2. the torques B^T B z along the unknowns, (m,);
     3. a bound on their rounding, (m,).
 
-    Any z is valid. The matrix B is meant as doubles have it.
+    The proofs may use any z. The entries of B are taken as the doubles that they are.
 
     curvature : the matrix B for m unknowns in units `scale`.
     floor : what is proven of it, with a factor of B^T B.
@@ -588,8 +590,9 @@ def newton_step(curvature: Form, floor: Floor, torque: np.ndarray) -> tuple[np.n
     z += floor.factor.solve(scaled - rows.T @ (rows @ z))
     z = np.where(np.isfinite(z) & ~floor.factor.failed[samples.of], z, 0.0)
     # A sum of products has as many roundings as terms; those of all terms are allowed for, with their full sizes.
-    taken, sizes = rows.T @ (rows @ z), abs(rows).T @ (abs(rows) @ np.abs(z))
+    product, sizes = rows.T @ (rows @ z), abs(rows).T @ (abs(rows) @ np.abs(z))
     terms = np.diff(rows.indptr).max(initial=0) + np.bincount(rows.indices).max(initial=0) + 8
-    inexact, of_sample = terms * EPS * sizes, partial(np.bincount, samples.of, minlength=samples.count)
-    work = of_sample(np.abs(z) * (inexact + len(z) * EPS * sizes)) + of_sample(z * taken)
-    return np.sqrt(np.maximum(work, 0.0)) * UP + TINY, taken / scale, inexact / scale * UP
+    inexact, sum_of_sample = terms * EPS * sizes, partial(np.bincount, samples.of, minlength=samples.count)
+    # |B z|^2 = z . B^T B z, with bounds on the rounding of both products
+    square = sum_of_sample(np.abs(z) * (inexact + len(z) * EPS * sizes)) + sum_of_sample(z * product)
+    return np.sqrt(np.maximum(square, 0.0)) * UP + TINY, product / scale, inexact / scale * UP

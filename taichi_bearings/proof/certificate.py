@@ -8,20 +8,20 @@ conjugate of the potential of a contact (scene/law.py), for any forces f that th
 
     least potential >= a [ sum_driven -(Omega_i - c) . t_i  -  sum_free |t_i| . w ]  -  sum_e phi*(|f_e|)
 
-Here c and w are the middle and the half width of the interval that the two driven planes span in each component; where
-the imposed states differ in their dilation, in each layer x_k = const of component k. A minimiser lies in that box. So
-a torque that is left over on a free sphere is paid for, never ignored.
+Here c and w are the middle and the half width of the interval between the spins of the two driven planes in each
+component; where these depend on the coordinate x_k of component k, in each layer x_k = const. Some minimiser lies in
+that box. So a torque that is left over on a free sphere is paid for, never ignored.
 
 Candidates are made from the given forces and the best bound is kept. With friction there are three:
 1. the forces capped at the friction limit, contact by contact;
 2. the forces after a Poisson solve has removed the leftover torque, divided by one number so that all are within
    limits;
 3. these balanced forces capped contact by contact.
-Where the force grows with the slip all forces are admissible: as they are, and without the leftover torque. A law of
-one's own may have a largest force, beyond which its phi* is infinite; forces beyond it are shortened, contact by
-contact or all by one number, until phi* is finite. Rounding is paid for as well: torques are summed in twice the
-precision, so what is paid is proportional to the leftover torques and the power, not to the much larger sum of all
-forces times the imposed jump.
+Where the force grows with the slip all forces are admissible; the candidates are the given forces, and those without
+the leftover torque. A law of the user's own may have a largest force, beyond which its phi* is infinite; forces beyond
+it are shortened, contact by contact or all by one number, until phi* is finite. Rounding is subtracted, too: torques
+are summed in twice the precision, so it is proportional to the leftover torques and the power, not to the much larger
+sum of all forces times the imposed jump.
 """
 
 from collections.abc import Callable, Iterator
@@ -92,8 +92,9 @@ def _candidates(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> Iter
 
 
 def _shortened(scene: Scene, force: Forces, one_by_one: bool) -> Iterator[Forces]:
-    """Yield forces shortened until the conjugate of a law of one's own is finite, (C, R, E), if it is infinite for some
-    of the given ones: the law then has a largest force, which forces in balance exceed by rounding.
+    """Yield forces (C, R, E) shortened until the conjugate of the contact law is finite for all of them; yield nothing
+    if it is finite for all given forces. Laws of the user's own may have a largest force, which forces in balance
+    exceed by rounding.
 
     scene : R samples of a lattice with E contacts each.
     force : (C components, R samples, E contacts), finite.
@@ -105,8 +106,8 @@ def _shortened(scene: Scene, force: Forces, one_by_one: bool) -> Iterator[Forces
 
 
 def _finite_share(scene: Scene, size: np.ndarray) -> np.ndarray:
-    """Return for each force the largest factor found, (R, E) from 0 to 1, with which the conjugate of the law is
-    finite. The conjugate is convex and 0 without a force, so it is finite for all smaller factors, too.
+    """Return for each force a factor, (R, E) from 0 to 1, with which the conjugate of the law is finite: about the
+    largest one. The conjugate is convex and 0 without a force, so it is finite for all smaller factors, too.
 
     scene : R samples of a lattice with E contacts each.
     size : (R, E), sizes of the forces."""
@@ -133,10 +134,10 @@ def _finite_share(scene: Scene, size: np.ndarray) -> np.ndarray:
 def can_prove_no_state(scene: Scene, excess: np.ndarray) -> bool:
     """Return True if the gap of every sample is so wide that no contact state can follow from it.
 
-    At any minimum a contact with the friction limit w and the friction f slips by no more than excess / (w - |f|).
-    Besides, no contact slips faster than the radius times the jump, the difference between the spins of both planes, as
-    no spin of a minimum leaves the interval between these. If the excess is at least the largest w times that speed,
-    the first bound says no more than the second for any contact, whatever f is.
+    There are two bounds on the slip of a contact at any minimum. (1) It is at most excess / (w - |f|), with the
+    friction limit w and the friction f. (2) It is at most the radius times the jump, the difference between the spins
+    of both planes, as spins of minima lie between these. If the excess is at least the largest w times the speed of
+    (2), then (1) says no more than (2) for any contact, whatever f is.
 
     scene : R samples of a lattice. The answer is False unless its contacts have friction alone.
     excess : (R,) for R samples, power less its proven lower bound, energy/time."""
@@ -165,11 +166,12 @@ def certifying_forces(
         over are good enough, and are found at once.
     are_states_asked : False if no contact state is to be proven by them. On large lattices the same holds then.
 
-    Forces are projected in turn on those in balance and, over-relaxed by 1.5, on the friction discs. Zero forces are in
-    both sets, so that converges linearly (Bauschke and Borwein, SIAM Review 38, 1996). It ends once the balanced
-    forces, divided by their largest |f| / (mu F_n), prove `bound` or need no division, or after MOST_PROJECTIONS."""
+    Forces are projected in turn on those in balance and, over-relaxed by 1.5, on the friction discs (all forces within
+    their limits). Zero forces are in both sets, so this converges linearly (Bauschke and Borwein, SIAM Review 38,
+    1996). A sample ends once its balanced forces, divided by their largest |f| / (mu F_n), prove `bound` or need no
+    division, or after MOST_PROJECTIONS."""
     given = force = _finite(scene, force)
-    # Where no contact state can follow from the bound, or none is asked for, any forces that prove it will do.
+    # Where no contact state can follow from the bound, or none is asked for, any forces that prove it are enough.
     proves_none = excess is not None and can_prove_no_state(scene, excess)
     if proves_none or (not are_states_asked and scene.lattice.sites >= LONG_BALANCE and scene.law.is_rate_independent):
         return _most_proving(scene, given, np.full(scene.replicas, -np.inf), given, spin_axes, bound)
@@ -181,30 +183,31 @@ def certifying_forces(
         force = _where(in_balance, force, balance(scene, force, spin_axes))
     if not scene.law.is_rate_independent:
         return _most_proving(scene, force, dual_value(scene, force, spin_axes), given, spin_axes, bound)
+    # What balanced forces prove once divided by `worst`, but for rounding: the work of the planes against them.
     ratio = saturation(scene, force)
     worst, best = ratio.max(axis=1), force
-    proves, worst_of_best = _work_of_planes(scene, force, spin_axes) / np.maximum(worst, 1.0), worst
-    known = None  # the best forces scaled into their discs, and the bound that they prove, once computed
-    reached, better = np.zeros(scene.replicas), np.ones(scene.replicas, dtype=bool)
-    done = ~better  # each replica ends on its own, whatever the others need
+    value_of_best, worst_of_best = _work_of_planes(scene, force, spin_axes) / np.maximum(worst, 1.0), worst
+    whole = None  # the best forces divided by `worst`, and the bound that they prove with all roundings, once computed
+    proven, better = np.zeros(scene.replicas), np.ones(scene.replicas, dtype=bool)
+    done = ~better  # each replica ends by itself, whatever the others need
     # Project in turn on the friction discs and on the forces in balance; keep those that prove the most.
     for _ in range(MOST_PROJECTIONS):
-        near = better & (proves >= bound * (1 - ENCLOSED_GAP))
-        if near.any():
-            known = known or _as_a_whole(scene, best, worst_of_best, spin_axes)
-            reached = np.where(near, known[1], reached)
-        done |= (reached >= bound * (1 - CERTIFIED_ERROR)) | (worst <= 1 + CERTIFIED_ERROR)
+        is_close = better & (value_of_best >= bound * (1 - ENCLOSED_GAP))
+        if is_close.any():
+            whole = whole or _as_a_whole(scene, best, worst_of_best, spin_axes)
+            proven = np.where(is_close, whole[1], proven)
+        done |= (proven >= bound * (1 - CERTIFIED_ERROR)) | (worst <= 1 + CERTIFIED_ERROR)
         if done.all():
             break
         force = _where(done, force, balance(scene, _over_relaxed(force, ratio), spin_axes))
         ratio = saturation(scene, force)
         worst = ratio.max(axis=1)
         value = _work_of_planes(scene, force, spin_axes) / np.maximum(worst, 1.0)
-        better = ~done & (value > proves)
-        best, proves, known = _where(better, force, best), np.where(better, value, proves), None
+        better = ~done & (value > value_of_best)
+        best, value_of_best, whole = _where(better, force, best), np.where(better, value, value_of_best), None
         worst_of_best = np.where(better, worst, worst_of_best)
-    whole, reached = known or _as_a_whole(scene, best, worst_of_best, spin_axes)
-    return _most_proving(scene, whole, reached, given, spin_axes, bound)
+    scaled_best, proven = whole or _as_a_whole(scene, best, worst_of_best, spin_axes)
+    return _most_proving(scene, scaled_best, proven, given, spin_axes, bound)
 
 
 def _work_of_planes(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
@@ -225,8 +228,8 @@ def _work_of_planes(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> 
 def _as_a_whole(
     scene: Scene, force: Forces, worst: np.ndarray, spin_axes: tuple[int, ...]
 ) -> tuple[Forces, np.ndarray]:
-    """Return all forces of a sample divided by one number, so that none exceeds its limit, (C, R, E); and the lower
-    bound (R,) that they prove, energy/time.
+    """Return the forces (C, R, E), those of each sample divided by one number so that none exceeds its limit; and the
+    lower bounds (R,) that they prove, energy/time.
 
     scene : R samples of a lattice with E contacts each.
     force : (C components, R samples, E contacts).
@@ -237,21 +240,21 @@ def _as_a_whole(
 
 
 def _most_proving(
-    scene: Scene, best: Forces, reached: np.ndarray, force: Forces, spin_axes: tuple[int, ...], bound: np.ndarray
+    scene: Scene, best: Forces, proven: np.ndarray, force: Forces, spin_axes: tuple[int, ...], bound: np.ndarray
 ) -> Forces:
-    """Return the forces `best` (C, R, E), replaced by better ones in the samples where they miss the bound.
+    """Return the forces `best` (C, R, E), but in samples where they prove less than `bound` other candidates that prove
+    more. Candidates are the forces balanced, capped at the friction limit, or scaled to be within it.
 
     scene : R samples of a lattice with E contacts each.
-    best, reached : (C components, R samples, E contacts) forces, and the lower bounds (R,) that they prove.
-    force : (C, R, E), from which other candidates are made, as :func:`lower_bound` does. A candidate is taken where it
-        proves more.
+    best, proven : (C components, R samples, E contacts) forces, and the lower bounds (R,) that they prove.
+    force : (C, R, E), from which the candidates are made.
     spin_axes : the axes of the C components.
     bound : (R,), what the forces should prove, energy/time."""
     candidates = _candidates(scene, force, spin_axes)
-    while not (reached >= bound * (1 - CERTIFIED_ERROR)).all() and (candidate := next(candidates, None)) is not None:
+    while not (proven >= bound * (1 - CERTIFIED_ERROR)).all() and (candidate := next(candidates, None)) is not None:
         value = dual_value(scene, candidate, spin_axes)
-        better = (reached < bound * (1 - CERTIFIED_ERROR)) & (value > reached)
-        best, reached = _where(better, candidate, best), np.where(better, value, reached)
+        better = (proven < bound * (1 - CERTIFIED_ERROR)) & (value > proven)
+        best, proven = _where(better, candidate, best), np.where(better, value, proven)
     return best
 
 
@@ -275,13 +278,12 @@ def _finite(scene: Scene, force: Forces) -> Forces:
 
 
 def work_and_bound(scene: Scene, balanced: Forces, spin_axes: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Return two arrays (R,), energy/time: the work of the driven planes against given Coulomb forces; and the lower
-    bound that these prove after each is capped at its friction limit, or all are scaled to their limits, whichever
-    proves more.
+    """Return two arrays (R,), energy/time: the power of the driven planes against given Coulomb forces; and a lower
+    bound on the least power. It is proven by these forces, each capped at its friction limit, or all scaled down by one
+    number until none exceeds its limit, whichever proves more.
 
-    This is for methods that check often, with forces that leave practically no torque: unlike :func:`lower_bound` it
-    does not balance them by a Poisson solve. Roundings are allowed for in the bound alone, which holds for any finite
-    forces.
+    The bound holds for any finite forces, with all roundings; the power has plain roundings. Methods that check often
+    use this function, since it solves no Poisson problem: their forces leave practically no torque.
 
     scene : R samples of a lattice with E contacts each, whose law is Coulomb's.
     balanced : (C components, R samples, E contacts), the forces.
@@ -300,7 +302,7 @@ def work_and_bound_within(
 
     scene : R samples of a lattice with E contacts each, whose law is Coulomb's.
     balanced : (C components, R samples, E contacts), the forces.
-    within : (C, R, E), the same, capped at the friction limits.
+    within : (C, R, E), these forces after each is capped at its friction limit.
     worst : (R,), the largest force of each sample over its friction limit; it only decides whether scaled forces are
         tried.
     spin_axes : the axes of the C components.
@@ -324,9 +326,9 @@ def relative_gap(scene: Bearing, objective: np.ndarray, bound: np.ndarray) -> np
     """Return (objective - lower bound) / objective, (R,), for each of R samples; NaN where either is not a number, so
     that nothing follows from it.
 
-    Without a jump, or where absent contacts cut the bottom from the top, the least objective is 0 and a relative gap
-    says nothing. It is then taken relative to a natural objective, if that is larger: that of all contacts slipping by
-    the imposed jump, or, without one, by the imposed spin.
+    Without a jump, or where absent contacts cut the bottom from the top, the least objective is 0. The gap is then
+    relative to the objective if all contacts slipped by the imposed jump (without one, by the imposed spin), if that is
+    larger than the given objective.
 
     scene : the R samples.
     objective : (R,), power, or potential with viscosity, energy/time.
@@ -411,8 +413,8 @@ def precise_torques(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> 
 
 
 def capped(force: Forces, ratio: np.ndarray) -> Forces:
-    """Return the forces (C components, R samples, E contacts), of which each that is longer than its friction limit is
-    shortened to it.
+    """Return the forces (C components, R samples, E contacts), each at most as long as its friction limit: longer ones
+    are shortened to it.
 
     ratio : (R, E), |force| over friction limit."""
     return _changed(force, ratio, lambda f, share: f * share)
@@ -420,7 +422,7 @@ def capped(force: Forces, ratio: np.ndarray) -> Forces:
 
 def _over_relaxed(force: Forces, ratio: np.ndarray) -> Forces:
     """Return the forces (C components, R samples, E contacts), those above their friction limit shortened by one and a
-    half times what would bring them to the limit.
+    half times what they exceed it by.
 
     force : (C, R, E).
     ratio : (R, E), |force| over friction limit."""
@@ -428,8 +430,8 @@ def _over_relaxed(force: Forces, ratio: np.ndarray) -> Forces:
 
 
 def _changed(force: Forces, ratio: np.ndarray, change: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Forces:
-    """Return the forces after a change to each, (C components, R samples, E contacts), computed in parts that fit the
-    caches.
+    """Return the forces (C components, R samples, E contacts) after the function `change` of each, computed in parts
+    that fit the caches.
 
     force : (C, R, E).
     ratio : (R, E), |force| over friction limit.

@@ -56,9 +56,8 @@ from taichi_bearings.proof.enclosure import UP, Enclosure, grouped_sum, joined, 
 from taichi_bearings.proof.judged_network import JudgedNetwork, Motion
 from taichi_bearings.proof.rounded_elimination import EPS, Elimination, Factor, Samples
 
-MOST_RELATIVE_CHANGE = (
-    0.25  # largest change of a slip, over its size, up to which a slip resists by 0.72 of its curvature
-)
+# largest change of a slip, over its size, up to which a slip resists by at least 0.72 of its curvature
+MOST_RELATIVE_CHANGE = 0.25
 CURVATURE_TRIALS = 4  # number of trials, each but the first from spins that a step of Newton's method has improved
 RIGID_STIFFNESS = 10.0  # stiffness mu F_n / |z| over the median, beyond which a contact holds a cluster together
 CURVATURE_SHARE = 1e-7  # first guess of tau, which most networks exceed by far
@@ -110,32 +109,35 @@ class Slipping:
         domain : by component, the label (N,) of the domain of each sphere; spheres that shall not move have the label
             of a driven sphere. If None, the domains that the resting contacts of `motion` make.
         """
-        network, unknowns, number = motion.network, 0, {}
-        some = np.flatnonzero(network.counts & ~motion.rests)
-        ends, felt = network.graph.contact[:, some], _slipping_components(network, some)
+        network, unknowns, unknown_of_sphere = motion.network, 0, {}
+        slipping = np.flatnonzero(network.counts & ~motion.rests)
+        ends, felt = network.graph.contact[:, slipping], _slipping_components(network, slipping)
         for k in network.needed:
-            own = motion.domain[k] if domain is None else domain[k]
+            label = motion.domain[k] if domain is None else domain[k]
             # A domain gets an unknown if a slipping contact joins it to another domain and no sphere of it is driven.
-            joins = own[ends[:, network.feels[k][some]]]
-            free = np.zeros(int(own.max()) + 1, dtype=bool)
-            free[joins[:, joins[0] != joins[1]]] = True
-            free[own[~network.free]] = False
-            number[k] = np.where(free, unknowns + np.cumsum(free) - 1, -1)[own]
-            unknowns += int(free.sum())
-        lower, upper = np.full((2, len(some)), -1), np.full((2, len(some)), -1)
-        difference = [Enclosure.exact(np.zeros(len(some))) for _ in range(2)]
-        # Slips, and the unknowns that change them, for both places of a component in `felt`.
+            pairs = label[ends[:, network.feels[k][slipping]]]
+            is_unknown = np.zeros(int(label.max()) + 1, dtype=bool)
+            is_unknown[pairs[:, pairs[0] != pairs[1]]] = True
+            is_unknown[label[~network.free]] = False
+            unknown_of_sphere[k] = np.where(is_unknown, unknowns + np.cumsum(is_unknown) - 1, -1)[label]
+            unknowns += int(is_unknown.sum())
+        lower, upper = np.full((2, len(slipping)), -1), np.full((2, len(slipping)), -1)
+        difference = [Enclosure.exact(np.zeros(len(slipping))) for _ in range(2)]
+        # Slips, and the unknowns that change them, for both rows of `felt`.
         for slot in range(2):
             for k in network.needed:
-                mine = np.flatnonzero(felt[slot] == k)
-                if not len(mine):
+                with_k = np.flatnonzero(felt[slot] == k)
+                if not len(with_k):
                     continue
-                lower[slot, mine], upper[slot, mine] = number[k][ends[:, mine]]
-                difference[slot].put(mine, motion.difference(k, some[mine]))
-        strength, damping = network.holding.at(some), network.slope.at(some) if network.law.has_viscosity else None
-        place = network.graph.middle(some).T
+                lower[slot, with_k], upper[slot, with_k] = unknown_of_sphere[k][ends[:, with_k]]
+                difference[slot].put(with_k, motion.difference(k, slipping[with_k]))
+        strength, damping = (
+            network.holding.at(slipping),
+            network.slope.at(slipping) if network.law.has_viscosity else None,
+        )
+        place = network.graph.middle(slipping).T
         curved, pair = np.flatnonzero((felt >= 0).all(axis=0)), (difference[0], difference[1])
-        return cls(unknowns, felt, lower, upper, curved, pair, strength, damping, some, place)
+        return cls(unknowns, felt, lower, upper, curved, pair, strength, damping, slipping, place)
 
     @cached_property
     def size(self) -> Enclosure:
@@ -154,8 +156,8 @@ class Slipping:
 
     @cached_property
     def stiffness(self) -> Enclosure:
-        """mu F_n / slip speed of each of the m contacts that slip in two components, (m,): a slip that changes by w at
-        right angles to itself turns the friction, which then changes by this number times w."""
+        """mu F_n / slip speed of each of the m contacts that slip in two components, (m,). If a slip changes by a small
+        w at right angles to itself, its friction keeps its size and changes by this number times w."""
         return self.strength.at(self.curved) / self.size.at(self.curved)
 
     @cached_property
@@ -217,12 +219,12 @@ class Slipping:
 
 
 def _slipping_components(network: JudgedNetwork, indices: np.ndarray) -> np.ndarray:
-    """Return the numbers of the spin components that make contacts slip, (2, k), -1 where there is no second one: the
-    one or two components along which some minimum may slip, or, if these are all three, the two that are not along the
-    normal of the contact.
+    """Return for each of q contacts the numbers of the spin components that make it slip at some minimum, (2, q); -1
+    where there is no second one. Of all three components the one along the normal of a contact makes it never slip, so
+    there are at most two.
 
-    network : a network whose slips do not mix the components of the spins.
-    indices : (k,), indices of the contacts."""
+    network : a network in which each component of a slip depends on one component of the spins.
+    indices : (q,), indices of the contacts."""
     if len(network.needed) == 3:
         axis = np.argmax(np.abs(network.graph.normal[indices]), axis=1)
         return np.stack([(axis + 1) % 3, (axis + 2) % 3])
@@ -279,8 +281,8 @@ def _bound_on_changes(contacts: Slipping, curvature: Curvature, last: bool) -> n
         """Return the bound (n,) on |slip at the minimum - slip| / |slip| of each of n contacts that follows if the
         curvature is at least `tau` times its diagonal."""
         radius = 1.5 * np.bincount(block, (slope / root) ** 2) ** 0.5 / tau * UP + TINY  # rho, block by block
-        reach = radius[block] / root  # largest |v| of each variable, as h v^2 <= rho^2
-        return np.asarray(sum((e @ reach) ** 2 for e in curvature.entries) ** 0.5 / contacts.size.least * UP)
+        most_v = radius[block] / root  # largest |v| of each variable, as h v^2 <= rho^2
+        return np.asarray(sum((e @ most_v) ** 2 for e in curvature.entries) ** 0.5 / contacts.size.least * UP)
 
     # proven_floor proves half of its guess, CURVATURE_SHARE
     if not (last or (relative_change_for(CURVATURE_SHARE / 2) <= MOST_RELATIVE_CHANGE).all()):
@@ -316,26 +318,25 @@ def bearable(
     moment, torques = network.own_moment, network.own_torques
     off = _change_of_friction(motion, contacts, relative_change)
     for k in network.needed:
-        # Bound on the torque on each sphere that resting contacts have to take up in addition to the friction which
-        # they have: what the given friction leaves over, and what slipping contacts change on the way to the minimum.
+        # Bound on the torque on each sphere that additional friction of resting contacts has to balance: the torque
+        # that the given friction leaves over, and the change of the friction of slipping contacts up to the minimum.
         residual = np.where(network.free, torques[k].most if unsure is None else torques[k].most + unsure[k], 0.0)
         for slot in range(2):
             some = contacts.felt[slot] == k
             for end in network.graph.contact[:, contacts.own[some]]:
                 residual += np.bincount(end, off[slot, some], len(residual))
         residual[~network.free] = 0.0
-        # At the minimum these torques add up to 0 on each free domain: resting contacts pull on it at both ends, which
-        # cancels, and the slipping ones leave no slope. On other domains a driven sphere takes the rest. So forces
-        # along a tree of the contacts of a domain balance them, none larger than the sum of their sizes over the
-        # domain.
+        # At the minimum these torques add up to 0 on each free domain: a resting contact has both ends in one domain,
+        # where its torques cancel, and the power has no slope. In other domains a driven sphere takes any torque. So
+        # forces along a tree of the contacts of a domain balance the torques, none larger than the sum of their sizes.
         domain = motion.domain[k]
         added_by_domain[k] = np.bincount(domain, residual)[domain] * UP
     # Compare the stored friction and what is added to it, a vector of the components, with the friction limit.
-    still = np.flatnonzero(motion.rests & network.counts)
-    feels = {k: network.feels[k][still] for k in network.needed}
-    stored_size = length([moment[k].at(still).where(feels[k]) for k in network.needed])
-    margin = network.holding.at(still) - stored_size
-    first = network.graph.contact[0, still]
+    resting = np.flatnonzero(motion.rests & network.counts)
+    feels = {k: network.feels[k][resting] for k in network.needed}
+    stored_size = length([moment[k].at(resting).where(feels[k]) for k in network.needed])
+    margin = network.holding.at(resting) - stored_size
+    first = network.graph.contact[0, resting]
     added = np.sqrt(sum(np.where(feels[k], added_by_domain[k][first], 0.0) ** 2 for k in network.needed))
     takes_part = np.any(list(feels.values()), axis=0)
     return bool((~takes_part | ((margin.high > 0) & (margin.least > added * UP))).all())
@@ -482,13 +483,14 @@ class Curvature:
         is at most the sum of (mu F_n / slip) (2 c |w|)^2, computed here as a diagonal form. It has to be below half of
         tau h, with h the diagonal of the curvature and tau h a proven lower bound of it; below all of it would be
         enough."""
-        # For either component of w, a row of `changes` with entries of sizes e (0 or 1), Cauchy and Schwarz give
-        # w^2 <= (sum of e) (sum of e v^2).
+        # A component of w is a row of `changes` times v. With e, 0 or 1, the sizes of the entries of this row, Cauchy
+        # and Schwarz give w^2 <= (sum of e) (sum of e v^2).
         loss = np.zeros_like(relative_change)
         loss[contacts.curved] = (2 * relative_change[contacts.curved]) ** 2 * contacts.stiffness.most
-        given_up = sum(e.T @ (loss * e.sum(axis=1)) for e in self.entries)
+        most_loss = sum(e.T @ (loss * e.sum(axis=1)) for e in self.entries)  # factors of v^2 in that diagonal form
         return bool(
-            (relative_change <= MOST_RELATIVE_CHANGE).all() and (given_up * UP < self.tau * self.form.squares / 2).all()
+            (relative_change <= MOST_RELATIVE_CHANGE).all()
+            and (most_loss * UP < self.tau * self.form.squares / 2).all()
         )
 
     def newton_step(self, slope: np.ndarray) -> np.ndarray | None:
@@ -508,9 +510,9 @@ def _clusters(contacts: Slipping) -> sparse.csr_array:
     although some contacts are very stiff.
 
     Domains (spheres that turn as one) joined by contacts with tiny slips, which resist changes most, form a cluster.
-    One domain of a cluster is its head, and its change is a variable. For every other domain the variable is its change
-    less that of its neighbour on the way to the head, along a tree of the stiffest contacts. Then a motion of the whole
-    cluster is one variable, and strains no stiff contact.
+    The change of one domain of a cluster, its head, is a variable. For every other domain the variable is its change
+    less that of its neighbour on the way to the head, along a tree of the stiffest contacts. So one variable moves the
+    whole cluster and changes the slip of no stiff contact in it.
 
     contacts : the slipping contacts, and the unknowns, which are the changes of the spins of free domains.
     """
@@ -537,14 +539,15 @@ def _clusters(contacts: Slipping) -> sparse.csr_array:
     heads[label[heads] == label[driven]] = driven
     row, column = np.append(trees.row, np.full(len(heads), source)), np.append(trees.col, heads)
     linked = sparse.csr_array((np.ones(len(row), dtype=np.int8), (row, column)), shape=(source + 1, source + 1))
-    # The neighbour of each unknown that is next on the way to the head of its cluster.
-    before = breadth_first_order(linked, source, directed=False)[1][: contacts.unknowns]
-    at = [np.arange(contacts.unknowns)] * 2  # pairs: an unknown, and a variable on its way to the head, itself first
+    # The neighbour of each unknown that is next on the way to the head of its cluster; the source beyond the head.
+    next_to_head = breadth_first_order(linked, source, directed=False)[1][: contacts.unknowns]
+    # The change of a domain is the sum of the variables on its way to the head, itself first: an entry 1 for each.
+    pair = [np.arange(contacts.unknowns)] * 2  # an unknown, and a variable on its way
     entries = []
-    while len(at[0]):
-        entries.append(at)
-        ahead = before[at[1]]
-        at = [at[0][ahead < contacts.unknowns], ahead[ahead < contacts.unknowns]]
+    while len(pair[0]):
+        entries.append(pair)
+        ahead = next_to_head[pair[1]]
+        pair = [pair[0][ahead < contacts.unknowns], ahead[ahead < contacts.unknowns]]
     rows, columns = (np.concatenate(parts) for parts in zip(*entries, strict=True))
     return sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(contacts.unknowns,) * 2)
 
@@ -674,12 +677,11 @@ class Floor:
 def _floor_by_guess(
     rows: sparse.csr_array, doubt: sparse.csr_array, elimination: Elimination, guess: np.ndarray, steps: int
 ) -> np.ndarray:
-    """Return for each of R samples half of its guess, (R,), where it is proven that no eigenvalue of A^T A is below
-    that; 0 where not, and infinity for samples without unknowns.
+    """Return for each of R samples half of its guess, (R,), if all eigenvalues of A^T A are proven to be at least that;
+    else 0, and infinity for samples without unknowns.
 
-    The guess is subtracted from the diagonal, and the rest is eliminated. If all pivots are positive, the rest has
-    no eigenvalue below minus the errors that are bounded here. If these are less than half of the guess, the other half
-    is proven.
+    A^T A less the guess times the identity is eliminated. If all pivots are positive, this matrix has no eigenvalue
+    below minus the errors that are bounded here. If these are less than half of the guess, the other half is proven.
 
     rows, doubt : (m, n), A differs from the first by no more than the second.
     elimination : how to eliminate the matrix rows^T rows, as doubles have formed it.
@@ -699,24 +701,25 @@ def _floor_by_guess(
     rounding = (terms + 2) * EPS * most + EPS
     missed = elimination.distance_from_positive(guess)
 
-    def holds(difference: np.ndarray | float) -> np.ndarray:
+    def is_proven(difference: np.ndarray | float) -> np.ndarray:
         """Return (R,): whether half of the guess is proven if the products differ by `difference` at most."""
         half_is_left: np.ndarray = (found == 0) & (guess - (missed + rounding + difference) * UP > guess / 2)
         return half_is_left
 
-    proven = holds(2 * np.sqrt(most * off))
-    if not proven.any() and holds(0.0).any():
-        proven = holds(_largest_of_products(sizes, doubt, steps, samples))
+    proven = is_proven(2 * np.sqrt(most * off))
+    if not proven.any() and is_proven(0.0).any():
+        proven = is_proven(_largest_of_products(sizes, doubt, steps, samples))
     found[proven] = guess[proven] / 2
     return found
 
 
 def _largest_of_products(sizes: sparse.csr_array, doubt: sparse.csr_array, steps: int, samples: Samples) -> np.ndarray:
-    """Return for each of R samples an upper bound (R,) of the spectral norm of the difference of A^T A and A'^T A', for
-    all matrices with |A| and |A'| no more than `sizes`, and |A - A'| no more than `doubt`, entry by entry. Its entries
-    are at most those of sizes^T doubt + doubt^T sizes, whose largest eigenvalue is bounded as in
-    :func:`largest_eigenvalue`. That is far less than twice the product of both norms if doubts are large in other rows
-    than sizes.
+    """Return for each of R samples an upper bound (R,) of the spectral norm of A^T A - A'^T A'. It holds for all
+    matrices with |A| and |A'| no more than `sizes` and |A - A'| no more than `doubt`, entry by entry.
+
+    The entries of the difference are at most those of S = sizes^T doubt + doubt^T sizes. The largest of (S x) / x,
+    entry by entry, for any positive vector x bounds the norm (Collatz and Wielandt). It is far less than twice the
+    product of both norms if doubts are large in other rows than sizes.
 
     sizes, doubt : (m, n), without negative entries.
     steps : number of power iterations, from ones.
@@ -745,7 +748,8 @@ def _least_eigenvalue(elimination: Elimination, factor: Factor, unit: np.ndarray
     samples = elimination.samples
     if factor.failed.all():
         return np.zeros(samples.count)
-    vector = np.random.default_rng(0).standard_normal(elimination.size)[samples.rank]  # the same for a sample alone
+    # each sample begins with the same vector, whether it is alone or beside others
+    vector = np.random.default_rng(0).standard_normal(elimination.size)[samples.rank]
     for _ in range(POWER_ITERATIONS):
         vector = vector / samples.norms(vector)[samples.of]
         vector = factor.solve(vector) if unit is None else factor.solve(vector / unit) / unit

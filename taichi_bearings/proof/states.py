@@ -15,29 +15,27 @@ What is used, by the contact law and by how the components of spins matter
   friction is repeated, so that minima may tie, tied_minima.py first.
 * Components that mix: the minimum is enclosed (oblique.py); where that fails, `_by_cones`, see below, and parts at rest
   beside loops that cannot roll as their normals are rounded (loops.py, borne.py).
-* With damping: no slip is further than (2 E / eta)^1/2 from the given one. Steps 1 to 3 say the rest, with the domains
-  of contacts whose share of friction left exceeds their slip over the jump. In packings the contacts that are still
-  undecided are tried part by part (resting.py); with oblique normals also beside loops that cannot roll as their
-  normals are rounded (loops.py, borne.py).
+* With damping: no slip is further than (2 E / eta)^1/2 from the given one. Steps 1 to 3 prove the other states; T are
+  the contacts whose friction margin over the limit, 1 - |F| / (mu F_n), exceeds their slip over the jump. In packings
+  the contacts that are still undecided are tried part by part (resting.py); with oblique normals also beside loops that
+  cannot roll as their normals are rounded (loops.py, borne.py).
 
 The proof that S slips and T rests
-1. Over motions that keep every domain in one piece the power is a convex function with a single minimum, close to these
-   spins (curvature.py).
-2. At that minimum every contact of S still slips and exerts its friction along the slip; this is known closely. What
-   the contacts of T bear, as the file says, balances it up to E_D, the sum of the torques left over in a domain D.
-   These torques cancel in each domain, or a driven plane holds it: T pulls both ends of its contacts alike, which are
-   in one domain, and the power has no slope along a free domain. So forces along a tree of the contacts that join it,
-   none larger than E_D, take away what is left over. If then every contact of T stays inside its friction disc, the
-   result is in balance and admissible, and it agrees with the law at every contact: the minimum of step 1 is one of the
-   whole power.
-3. All minima share all optimal forces (equations.md, 7): where the friction is below its limit nothing slips. So T
-   rests at every minimum. Every minimum then is one of step 1, where there is only one, and S slips at it.
+1. Among motions in which each domain turns as one the power has a single minimum, close to these spins (curvature.py).
+2. At that minimum every contact of S still slips and exerts its friction along the slip; this is known closely. The
+   stored friction of T balances it but for torques; let E_D be the sum of their sizes in a domain D. These torques
+   cancel in each free domain, as a contact of T has both ends in one domain, and the power has no slope along it; in
+   other domains a driven plane takes them. So forces along a tree of the contacts that join D, none larger than E_D,
+   balance them. If then every contact of T stays inside its friction disc, all friction is in balance, within its
+   limits and by the law at every contact: the minimum of step 1 is one of the whole power.
+3. Any friction that is optimal is so at all minima (theorem 4): where it is below its limit nothing slips. So T rests
+   at every minimum. Every minimum then is one of step 1, where there is only one, and S slips at it.
 
 What the excess says of any network (theorem 5). At any minimum the sum over all contacts of phi(y*) + phi*(F) - F . y*
-is at most E. With damping this alone bounds |y* - y|. With friction alone a contact at its limit has at least the share
-mu F_n b^2 / (2 |y*|), b the part of y* across F, and one with margin m = mu F_n - |F| left has at least m |y*|. With
-|y*| bounded above, these shares are a quadratic form of y* that is at most E, and so is that of the given slips. Its
-floor, by an elimination, says how far minima are (`_by_cones`).
+is at most E. With damping this alone bounds |y* - y|. With friction alone the term of a contact at its limit is at
+least mu F_n b^2 / (2 |y*|), with b the part of y* across F; that of a contact with the friction margin m = mu F_n - |F|
+is at least m |y*|. With |y*| bounded above, these terms are a quadratic form of y* that is at most E, and so is that of
+the given slips. Its floor, by an elimination, says how far minima are (`_by_cones`).
 """
 
 from __future__ import annotations
@@ -62,8 +60,8 @@ from taichi_bearings.scene.solution import PROVEN, SLIPLESS, SLIPPING, TIED, UND
 PROVEN_AT_ONCE = 200_000  # most spheres of samples that are proven together
 # What is tried as resting, and by which form minima are enclosed. A wrong choice only makes a proof fail.
 STILL, STILL_IN_PAIRS = 1e-12, 1e-28  # slip over the fastest imposed one that may be 0; by spins in twice the precision
-CLEAR_RATIO = 10  # ratio of slip / jump and (friction left) / limit, either way, from which damping leaves no doubt
-CLEAR_ROOM = 1e-3  # (friction left) / limit, above which a contact may well rest
+CLEAR_RATIO = 10  # slip / jump and margin / limit have to differ by this factor, either way, with damping
+CLEAR_MARGIN = 1e-3  # (friction margin, limit less friction) / limit, above which a contact may well rest
 STIFFEST = 1e4  # largest weight of a contact off its limit in the form, over the one that it would have at its limit
 ODD_LOOPS = "loops are odd"  # what is missing where spins cannot be given signs such that slips are differences
 PASSES = 2  # number of times that the form is made, the second time with the bounds on slips of the first
@@ -74,8 +72,8 @@ class States:
     """Proven contact states of one sample.
 
     known : (E,), the states that hold at all minima, UNDECIDED where nothing is proven.
-    unique : True if all minima have the same slips, False if not, None if that is not known. It is said of networks
-        alone whose driving allows it (`Driving.slips_are_unique`).
+    unique : True if all minima have the same slips, False if not, None if that is not known. True is possible only for
+        networks whose driving allows it (`Driving.slips_are_unique`).
     reason : words that say why not all states are proven, or "".
     """
 
@@ -95,11 +93,11 @@ def proven_states(bounds: Bounds) -> list[States]:
     network = bounds.network
     # Contacts that can dissipate at no minimum rest, and so do all in samples whose stored spins have no potential.
     rests = ~network.counts | network.on_contacts(bounds.upper == 0)
-    if not imposed_exactly(network):  # what rests beside what turns so slowly is not known
+    if not imposed_exactly(network):  # products with so small a spin underflow
         return _samples(network, np.where(rests, SLIPLESS, UNDECIDED), "an imposed spin is too small", None)
     if bounds.alone:
         return [states for one in bounds.alone for states in proven_states(one)]
-    if network.mixes and network.count > 1:
+    if network.mixes and network.count > 1:  # all samples together; those that fail, one by one
         near = _enclosed_minimum(bounds) if _can_be_enclosed_together(bounds) else None
         together = _all_undecided(network, "") if near is None else _enclosed(network, near)
         done = np.zeros(network.count, dtype=bool) if near is None else near[2]
@@ -130,10 +128,10 @@ def proven_states(bounds: Bounds) -> list[States]:
         found = _by_cuts(bounds, network.needed[0]) if len(network.needed) == 1 else _by_curvature(network)
     completed = []
     for states, rest, acts in zip(found, *(v.reshape(network.count, -1) for v in (rests, network.acts)), strict=True):
-        # Add the contacts that rest anyhow, and the reason only where some contact is undecided.
+        # Add the contacts that rest anyhow, and keep the reason only where some contact is undecided.
         known = np.where(rest, SLIPLESS, states.known)
-        open_ = bool((acts & (known == UNDECIDED)).any())
-        completed.append(States(known, states.unique, states.reason if open_ else ""))
+        is_undecided = bool((acts & (known == UNDECIDED)).any())
+        completed.append(States(known, states.unique, states.reason if is_undecided else ""))
     return completed
 
 
@@ -148,38 +146,37 @@ def _samples(network: JudgedNetwork, states: np.ndarray, reason: str, unique: bo
 
 
 def _enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Prove near which slips the minima are, in R samples of a packing with E contacts in all, whose normals may have
-    any direction. Return None if nothing is proven, else three arrays: the mask (E,) of contacts that may slip; bounds
-    (E,) on |slip at any minimum - stored slip|; and the mask (R,) of the samples for which this is proven. (The module
-    that does it is loaded here, as lattices do not need it.)
+    """Prove how far the slips of all minima may be from the stored ones, in R samples of a packing with E contacts in
+    all, whose normals may have any direction. Return None if nothing is proven, else three arrays: the mask (E,) of
+    contacts that may slip; bounds (E,) on |slip at any minimum - stored slip|; and the mask (R,) of the samples for
+    which this is proven.
 
     bounds : bounds on the power of these samples, with their spins and friction.
     """
-    from taichi_bearings.proof.oblique import enclosed_minimum
+    from taichi_bearings.proof.oblique import enclosed_minimum  # which lattices do not need
 
     return enclosed_minimum(bounds)
 
 
 def _can_be_enclosed_together(bounds: Bounds) -> bool:
-    """Return True if the minima of several samples may be enclosed together, as those of one network of separate parts.
-    That is so if the lower bound of each sample is proven of all spins, and every contact that can dissipate has
-    friction. Contacts with damping alone need close bounds on their slips, which single samples have; for several
-    together bounds are wider.
+    """Return True if the minima of several samples may be enclosed together, as those of one network of separate parts:
+    if the lower bound of each sample is proven of all spins, and every contact that can dissipate has friction.
+    Contacts with damping alone need closer bounds on their slips than those for several samples together.
 
     bounds : bounds on the power of the samples, with their friction."""
-    held = bounds.network.holding.high[bounds.network.counts] > 0
-    return bool((bounds.proof == PROVEN).all() and bounds.network.law.has_friction and held.all())
+    has_friction = bounds.network.holding.high[bounds.network.counts] > 0
+    return bool((bounds.proof == PROVEN).all() and bounds.network.law.has_friction and has_friction.all())
 
 
 def _beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
     """Return the mask (m,) of the contacts of a packing, with normals in any direction, that are proven to rest at
     every minimum. They may be connected with loops of contacts that cannot all roll exactly, since their normals are
-    rounded. The module that does it is loaded here, as lattices do not need it.
+    rounded.
 
     bounds : bounds on the power, with the m contacts and the friction that is in balance on all spheres.
     far : (m,), bound on |slip at any minimum - stored slip|.
     """
-    from taichi_bearings.proof.borne import at_rest_beside_loops
+    from taichi_bearings.proof.borne import at_rest_beside_loops  # which lattices do not need
 
     return at_rest_beside_loops(bounds, far)
 
@@ -193,10 +190,10 @@ def _enclosed(network: JudgedNetwork, near: tuple[np.ndarray, np.ndarray, np.nda
     near : a mask (E,) of contacts that may slip, bounds (E,) on |slip at any minimum - stored slip|, and a third entry
         that is not used here.
     """
-    slides, far, _ = near
-    known = (network.holding.high > 0) | (network.slip.least > far)
-    slips = np.where(known, SLIPPING, UNDECIDED)
-    return _samples(network, np.where(slides & network.counts, slips, SLIPLESS), "slips are small", None)
+    may_slip, far, _ = near
+    slips = (network.holding.high > 0) | (network.slip.least > far)
+    states = np.where(slips, SLIPPING, UNDECIDED)
+    return _samples(network, np.where(may_slip & network.counts, states, SLIPLESS), "slips are small", None)
 
 
 def _all_undecided(network: JudgedNetwork, reason: str) -> list[States]:
@@ -232,9 +229,9 @@ def _by_cuts(bounds: Bounds, k: int) -> list[States]:
 def _has_one_minimum(states: np.ndarray) -> bool | None:
     """Return True if all minima have the same slips, False if not, None if that is not known.
 
-    If two minima have different slips, these change in proportion along the line through both. The line can be followed
-    at the same power until the first slip is 0; this contact is TIED. So without such contacts the slips are the same,
-    though contacts that slip at every minimum might do so at several speeds.
+    Suppose that two minima have different slips. Along the line through both the slips change in proportion to the
+    distance and the power stays the same, until the first slip is 0; this contact is TIED. So without TIED contacts all
+    minima have the same slips.
 
     states : (E,), states of all contacts."""
     return False if (states == TIED).any() else None if (states == UNDECIDED).any() else True
@@ -245,10 +242,10 @@ def _by_curvature(network: JudgedNetwork) -> list[States]:
     component of a slip depends on one of these.
 
     The proof has two steps. (1) Near the stored spins there is one minimum of the power among motions in which the
-    contacts that rest now still rest. (2) Friction below their limits can balance the torques of the slipping contacts
-    there. Samples of a lattice are first tried all at once, and if that fails half by half. Where friction limits are
-    repeated, so that there may be several minima, they are tried one by one. Packings are proven elsewhere
-    (`_of_packings`).
+    contacts that rest in the stored spins still rest. (2) Friction below their limits can balance the torques of the
+    slipping contacts there. Samples of a lattice are first tried all at once, and if that fails half by half. Where
+    friction limits repeat, so that there may be several minima, they are tried one by one. Packings are proven by
+    `_of_packings`.
 
     network : the R samples with stored spins and friction.
     """
@@ -258,7 +255,7 @@ def _by_curvature(network: JudgedNetwork) -> list[States]:
     if count == 1:
         states = _with_ties(network.motion)
         return [states] if isinstance(states, States) else _all_undecided(network, states)
-    if _repeats(network.motion):
+    if _limits_repeat(network.motion):
         parts = [network.some(slice(number, number + 1)) for number in range(count)]
     else:
         if len(network.free) <= PROVEN_AT_ONCE and isinstance(
@@ -284,23 +281,23 @@ def _of_packings(network: JudgedNetwork) -> list[States]:
 
     network : the R samples with stored spins and friction."""
     slip, fastest = network.slip.value, network.box.max()
-    still, nearly = (network.counts & (slip <= most * fastest) for most in (STILL_IN_PAIRS, STILL))
+    still, nearly_still = (network.counts & (slip <= most * fastest) for most in (STILL_IN_PAIRS, STILL))
     if network.count > 1:
         known = _by_domains(network, still)
         if isinstance(known, str):
             return [states for half in _halves(network) for states in _of_packings(half)]
         return _samples(network, known, "", None)
-    # First as if spins were known in twice the precision.
-    doubt = ""
-    for rests in (still, nearly) if (nearly != still).any() else (still,):
+    # First as if spins were known in twice the precision, then in one.
+    first_reason = ""
+    for rests in (still, nearly_still) if (nearly_still != still).any() else (still,):
         motion = _in_domains(network, rests)
         states = motion if isinstance(motion, str) else _with_ties(motion)
         if isinstance(states, States):
             return [replace(states, unique=None if states.unique else states.unique)]
-        doubt = doubt or states
-    if doubt == ODD_LOOPS:
+        first_reason = first_reason or states
+    if first_reason == ODD_LOOPS:
         return proven_states(Bounds.of(replace(network, as_oblique=True)))
-    return _all_undecided(network, doubt)
+    return _all_undecided(network, first_reason)
 
 
 def _with_ties(motion: Motion) -> States | str:
@@ -309,23 +306,23 @@ def _with_ties(motion: Motion) -> States | str:
     other way round.
 
     motion : the sample with stored spins and friction, and which of its contacts are taken to rest."""
-    contacts, repeats, doubt = Slipping.of(motion), _repeats(motion), ""
-    for several in (True, False) if repeats else (False, True):
+    contacts, reason = Slipping.of(motion), ""
+    for several in (True, False) if _limits_repeat(motion) else (False, True):
         if several and (tied := tied_states(motion, contacts)) is not None:
             return States(*tied, "minima tie in ways that are not known closely enough")
         if not several and isinstance(near := _one_minimum(motion, contacts), tuple):
             return States(_as_stored(motion), True)
-        doubt = doubt if several else str(near)
-    return doubt
+        reason = reason if several else str(near)
+    return reason
 
 
 def _with_damping(bounds: Bounds, known: list[States]) -> list[States]:
-    """Return the states of R samples of friction with damping. Where it is proven that exactly those contacts rest that
-    seem to rest, these states are returned, else `known`.
+    """Return the states of R samples of friction with damping: all of them where it is proven that exactly those
+    contacts rest that seem to rest, else those in `known`.
 
-    A contact seems to rest if the share of its friction that is left, 1 - |F| / (mu F_n), exceeds its slip over the
-    largest imposed speed. The proof is tried only for samples in which this is clear of every contact: one of both
-    numbers is at least CLEAR_RATIO times the other.
+    A contact seems to rest if its friction margin over its limit, 1 - |F| / (mu F_n), exceeds its slip over the largest
+    imposed speed. The proof is tried only for samples in which one of both numbers is at least CLEAR_RATIO times the
+    other at every contact.
 
     bounds : the samples, with their spins and friction, and bounds on their power.
     known : states of each sample, which are returned where nothing better is proven.
@@ -333,14 +330,14 @@ def _with_damping(bounds: Bounds, known: list[States]) -> list[States]:
     network, count = bounds.network, bounds.network.count
     if not network.law.has_friction or network.mixes or not network.needed:
         return known
-    room, slip = 1 - bounds.size.value / network.holding.value, network.slip.value / network.box.max()
-    rests = network.counts & (room > slip)
-    unclear = network.counts & (np.maximum(room, slip) < CLEAR_RATIO * np.minimum(room, slip))
+    margin, slip = 1 - bounds.size.value / network.holding.value, network.slip.value / network.box.max()
+    rests = network.counts & (margin > slip)
+    unclear = network.counts & (np.maximum(margin, slip) < CLEAR_RATIO * np.minimum(margin, slip))
     improved = []
-    for number, (own, states) in enumerate(zip(rests.reshape(count, -1), known, strict=True)):
+    for number, (rests_here, states) in enumerate(zip(rests.reshape(count, -1), known, strict=True)):
         found: np.ndarray | str = ""
         if not unclear.reshape(count, -1)[number].any():
-            found = _by_domains(network.some(slice(number, number + 1)), own)
+            found = _by_domains(network.some(slice(number, number + 1)), rests_here)
         improved.append(states if isinstance(found, str) else States(found, True))
     return improved
 
@@ -362,11 +359,10 @@ def _with_parts_at_rest(bounds: Bounds, far: np.ndarray, before: list[States]) -
 
 
 def _by_domains(network: JudgedNetwork, rests: np.ndarray) -> np.ndarray | str:
-    """Return the states (m,) of the m contacts of a network if it is proven to have one minimum in which the contacts
-    in `rests` rest; else a text that says what is missing in the proof.
-
-    In each component of the spins resting contacts join spheres to domains that turn as one. Contacts between different
-    domains slip, and all contacts within a domain rest.
+    """Return the states (m,) of the m contacts of a network if it is proven to have one minimum, at which the contacts
+    in `rests` and those that these hold at rest do rest, and all others slip; else a text that says what is missing in
+    the proof. (In each component of the spins resting contacts join spheres to domains, which turn as one, so that no
+    contact within a domain can slip.)
 
     network : stored spins and friction; each component of a slip depends on one component of the spins.
     rests : (m,) mask of the contacts that are taken to rest.
@@ -403,19 +399,19 @@ def _as_stored(motion: Motion) -> np.ndarray:
     return np.where(motion.network.counts & ~motion.rests, SLIPPING, SLIPLESS)
 
 
-def _repeats(motion: Motion) -> bool:
-    """Return True if friction limits repeat: if two contacts of one sample that slip in the stored spins have the same
-    limit. Then sums of friction may cancel, and there may be several minima.
+def _limits_repeat(motion: Motion) -> bool:
+    """Return True if two contacts of one sample that slip in the stored spins have the same friction limit. Then sums
+    of friction may cancel, and there may be several minima.
 
     motion : the samples with stored spins, and which of their contacts rest.
     """
     network = motion.network
-    own = np.flatnonzero(network.counts & ~motion.rests)
-    values, sample = network.holding.high[own], network.sample_of(own)
-    if (np.diff(np.sort(values)) != 0).all():  # in no two samples; to sort by sample takes ten times as long
+    slipping = np.flatnonzero(network.counts & ~motion.rests)
+    limit, sample = network.holding.high[slipping], network.sample_of(slipping)
+    if (np.diff(np.sort(limit)) != 0).all():  # no two of all samples; to sort by sample takes ten times as long
         return False
-    order = np.lexsort((values, sample))
-    return bool(((np.diff(values[order]) == 0) & (np.diff(sample[order]) == 0)).any())
+    order = np.lexsort((limit, sample))
+    return bool(((np.diff(limit[order]) == 0) & (np.diff(sample[order]) == 0)).any())
 
 
 def _one_minimum(motion: Motion, contacts: Slipping) -> tuple[Slipping, np.ndarray] | str:
@@ -455,41 +451,41 @@ def _by_cones(bounds: Bounds) -> np.ndarray:
     """Return a bound (E,) on |slip at any minimum - stored slip| for one sample of E contacts with friction alone,
     whose normals have any direction; infinite where nothing is proven.
 
-    Let F be the friction that proves the lower bound on the power, within all limits. For the slips of any minimum the
-    sum over contacts of mu F_n |slip| - F . slip is at most the upper less the lower bound. A contact near its friction
-    limit has at least mu F_n b^2 / (2 |slip|) of this sum, where b is the part of its slip across F; another one at
-    least (mu F_n - |F|) |slip|. Together these are a quadratic form of the spins, whose least eigenvalue bounds them.
+    Let F be the friction that proves the lower bound on the power, within all limits, and E the upper less the lower
+    bound. For the slips y* of any minimum the sum over contacts of mu F_n |y*| - F . y* is at most E. The term of a
+    contact near its friction limit is at least mu F_n b^2 / (2 |y*|), where b is the part of y* across F; that of any
+    other contact at least (mu F_n - |F|) |y*|. Together these are a quadratic form of the spins.
 
-    The form of the given slips is at most the excess as well: the given spins have no larger potential than that from
-    which `Springs.reach` bounds spins, so the torques left over are paid for at these, too.
+    The form of the given slips is at most E as well: the given spins have no larger potential than that from which
+    `Springs.reach` bounds spins, so E includes the price of leftover torques at these, too.
 
     bounds : bounds on the power of the sample, with its spins and friction, in which forces of fictitious springs have
         balanced all torques. Without such springs (`unknown` is None) nothing is proven."""
     network = bounds.network
     if bounds.unknown is None:
         return np.full(len(network.acts), np.inf)
-    holding, slip = np.where(network.counts, network.holding.value, 0.0), network.slip.most
-    room = np.maximum((network.holding - bounds.size).lower(), 0.0)
+    limit, slip = np.where(network.counts, network.holding.value, 0.0), network.slip.most
+    margin = np.maximum((network.holding - bounds.size).lower(), 0.0)
     # Direction n x F / |F|, across friction and normal, for contacts near their limit.
     moment = np.stack([part.value for part in moments(bounds.friction, network.graph.normal)], axis=1)
     across = moment / np.linalg.norm(moment, axis=1)[:, None]
-    slides = network.counts & (room <= CLEAR_ROOM * holding) & np.isfinite(across).all(axis=1)
+    at_limit = network.counts & (margin <= CLEAR_MARGIN * limit) & np.isfinite(across).all(axis=1)
     number = numbered(bounds.unknown)
-    rows, sizes = _rows_of_cones(network, across, slides, number)
-    excess, far, most = float(bounds.excess[0]), np.full(len(holding), np.inf), bounds.upper / holding * UP
+    rows, sizes = _rows_of_cones(network, across, at_limit, number)
+    excess, far, most = float(bounds.excess[0]), np.full(len(limit), np.inf), bounds.upper / limit * UP
     for _ in range(PASSES):
         fastest = np.maximum(np.fmin(most, slip + far), slip)
-        # mu F_n / (2 |y*|) for contacts near their limit. For others m |y*| >= m^2 |y*|^2 / E as m |y*| <= E. As all
-        # |y*| and all given slips are at most `fastest`, this holds of both.
-        weight = np.where(network.counts, holding / (2 * fastest), 0.0)
-        stiff = np.minimum(room**2 / excess, STIFFEST * weight)
-        weight = np.where(slides, weight, np.where(network.counts, stiff, 0.0))
+        # mu F_n / (2 |y*|) for contacts near their limit. For others, with the margin m, m |y*| >= m^2 |y*|^2 / E as
+        # m |y*| <= E. All |y*| and all given slips are at most `fastest`, so this holds for both.
+        weight = np.where(network.counts, limit / (2 * fastest), 0.0)
+        off_limit = np.minimum(margin**2 / excess, STIFFEST * weight)
+        weight = np.where(at_limit, weight, np.where(network.counts, off_limit, 0.0))
         form = weighed(network, rows, np.sqrt(np.tile(weight, 3)), number, sizes)
         floor = 0.0 if form is None else float(form.floor()[0])
         if form is None or not floor > 0:
             break
-        # Both y* and the given slips have a form of at most E, so they differ by at most twice its root. The floor is
-        # one of the form without any rounding.
+        # Both y* and the given slips have a form of at most E, so the spins of both differ by at most twice its root
+        # over the root of the floor. The floor is proven of the form without any rounding.
         radius = 2 * np.sqrt(excess) / np.sqrt(floor) * UP**2
         scale = np.zeros(number.shape)
         scale[number >= 0] = form.scale
@@ -499,22 +495,24 @@ def _by_cones(bounds: Bounds) -> np.ndarray:
 
 
 def _rows_of_cones(
-    network: JudgedNetwork, across: np.ndarray, slides: np.ndarray, number: np.ndarray
+    network: JudgedNetwork, across: np.ndarray, at_limit: np.ndarray, number: np.ndarray
 ) -> tuple[sparse.csr_array, sparse.csr_array]:
-    """Return two matrices (3 E, n) for n unknown spin components. The rows of the first give what the quadratic form of
-    `_by_cones` counts at each of E contacts: one row, the slip across friction, for a contact in the mask `slides`;
-    three rows, all components of the slip, for any other contact that can dissipate. The second matrix has for each
-    entry the sum of the sizes of the products from which it is made, as its rounding error is a share of that sum.
+    """Return two matrices (3 E, n) for E contacts and n unknown spin components. The rows of the first give the numbers
+    whose squares the quadratic form of `_by_cones` adds: the component of the slip across friction for a contact in the
+    mask `at_limit` (one row), and all components of the slip for any other contact that can dissipate (three rows). The
+    second matrix has for each entry the sum of the sizes of the products from which it is made, as its rounding error
+    is a share of that sum.
 
     network : one sample of a packing, with the normals of its contacts.
     across : (E, 3), unit vectors across friction and normal.
-    slides : (E,) mask.
+    at_limit : (E,) mask of the contacts near their friction limit.
     number : (N spheres, 3), the index of each spin component among the unknowns; -1 for those that are none.
     """
-    count, own = len(slides), np.flatnonzero(slides)
-    at = np.tile(own, 3), np.concatenate([k * count + own for k in range(3)])
-    kept = np.flatnonzero(np.tile(network.counts & ~slides, 3))
-    pick = sparse.csr_array((np.append(across[own].T.ravel(), np.ones(len(kept))),
-                             (np.append(at[0], kept), np.append(at[1], kept))), shape=(3 * count,) * 2)  # fmt: skip
+    count, one_row = len(at_limit), np.flatnonzero(at_limit)
+    first = np.tile(one_row, 3), np.concatenate([k * count + one_row for k in range(3)])
+    kept = np.flatnonzero(np.tile(network.counts & ~at_limit, 3))
+    weights = sparse.csr_array((np.append(across[one_row].T.ravel(), np.ones(len(kept))),
+                                (np.append(first[0], kept), np.append(first[1], kept))),
+                               shape=(3 * count,) * 2)  # fmt: skip
     slips = slip_rows(network, number)
-    return sparse.csr_array(pick @ slips), sparse.csr_array(abs(pick) @ abs(slips))
+    return sparse.csr_array(weights @ slips), sparse.csr_array(abs(weights) @ abs(slips))
