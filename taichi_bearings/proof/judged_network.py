@@ -1,14 +1,14 @@
-"""Contact networks of any kind whose spins and friction are to be judged: samples of a lattice or of a packing, side by
-side.
+"""Contact networks of any kind whose spins and friction are to be judged: samples of a lattice or of a packing, as one
+graph in which no contact joins two samples.
 
 Letters: R samples of N spheres and E contacts each, n = R N and m = R E in all; D = 2 or 3 dimensions, C = 1 (discs) or
 3 components of the spins, each with a number k; i and j the first and the second sphere of a contact, n (as a vector)
 its unit normal from i to j.
 
 With u = R omega (here R is the radius) the surface of sphere j slips past that of i with v = -(u_i + u_j) x n. Friction
-F on j turns both spheres with n x F, its *moment*. It takes the power (u_i + u_j) . (n x F) = -F . v from the motion,
-at most |F| |v|. A disc has one component: u about z, v and F along z x n. Normals of packings are taken bit by bit as
-they are stored: they say what slips, even where their length is not quite 1.
+F on j has the *moment* n x F, minus its torque over radius on both spheres. It takes the power (u_i + u_j) . (n x F) =
+-F . v from the motion, at most |F| |v|. A disc has one component: u about z, v and F along z x n. Slips of packings are
+those of the normals as they are stored, bit by bit, even where their length is not quite 1.
 
 On a lattice u = s U, with the sign s = 1 or -1 of the sublattice, and U is measured from the state of the bottom, in
 which nothing slips.
@@ -45,7 +45,8 @@ LEAST_EXACT = 1e-250  # size of a product above which two doubles hold all of it
 
 @dataclass(frozen=True)
 class JudgedNetwork:
-    """Spins, friction and contacts of R samples side by side, as enclosures in the units `speed_unit` and `force_unit`.
+    """Spins, friction and contacts of R samples, one after the other, as enclosures in the units `speed_unit` and
+    `force_unit`.
 
     There are n spheres and m contacts in all samples together. u is spin times radius, n (as a vector) the unit normal
     of a contact, F the friction on its second sphere; C = 1 (discs) or 3 components.
@@ -56,16 +57,16 @@ class JudgedNetwork:
     speed_unit : a power of two; on lattices a power of two times the radius.
     force_unit : (R,), powers of two.
     spin : u by component, C enclosures (n,); on lattices times the sign of the sublattice, so that equal u roll.
-    moment : n x F, what friction turns both spheres with, by component, C enclosures (m,); 0 where a contact takes no
-        part.
+    moment : n x F, minus the torque of friction over radius on both spheres, by component, C enclosures (m,); 0 where a
+        contact takes no part.
     holding, slope : friction limits mu F_n and damping eta, enclosures (m,), 0 where a law has none.
     imposed : by component, C enclosures (n,), u of driven spheres, 0 for free ones; on lattices measured from the
         bottom.
     graph : where the contacts are, and the friction that they bear.
     rolling : (n,) mask of free spheres whose contacts can all roll, whatever the other spheres do; None for none.
     factors : arrays (m,) whose product is in exact proportion to mu F_n within a sample, to compare friction exactly.
-    as_oblique : True to treat normals along the axes like any others, as if components mixed. What is proven of those
-        holds for these too, and loops may be odd.
+    as_oblique : True to use the proofs for normals in any direction, though all are along the axes. These proofs are
+        valid for loops with an odd number of contacts, too.
     """
 
     law: Law
@@ -113,26 +114,25 @@ class JudgedNetwork:
             return self.free
         first, second = self.graph.contact[:, self._act_outside_rolling]
         inner, count = self.free[first] & self.free[second], len(self.free)
-        label = pieces(count, first[inner], second[inner])
-        touched = np.zeros(count, dtype=bool)
+        part = pieces(count, first[inner], second[inner])  # what contacts connect through free spheres
+        touches_driven = np.zeros(count, dtype=bool)
         for end, other in ((first, second), (second, first)):
-            touched[label[end[self.free[end] & ~self.free[other]]]] = True
-        found: np.ndarray = (
-            self.free & touched[label] & ~(self.rolling if self.rolling is not None else np.zeros(count, dtype=bool))
-        )
+            touches_driven[part[end[self.free[end] & ~self.free[other]]]] = True
+        rolling = self.rolling if self.rolling is not None else np.zeros(count, dtype=bool)
+        found: np.ndarray = self.free & touches_driven[part] & ~rolling
         return found
 
     @cached_property
     def counts(self) -> np.ndarray:
         """(m,) mask of the contacts that can dissipate at a minimum: they have a coefficient and a free sphere,
-        contacts connect them to a driven sphere, and neither sphere is in `rolling`, whose contacts can all roll. All
-        others dissipate nothing at any minimum."""
+        contacts connect them to a driven sphere, and neither sphere is in `rolling` (spheres whose contacts can all
+        roll whatever the others do). All other contacts dissipate nothing at any minimum."""
         return self.acts if self.is_whole else self._act_outside_rolling & self.graph.any_end(self.reached)
 
     @cached_property
     def _act_outside_rolling(self) -> np.ndarray:
-        """(m,) mask of the contacts that have a coefficient and a free end (`acts`), but touch no sphere of the mask
-        `rolling`, whose contacts can all roll."""
+        """(m,) mask of the contacts that have a coefficient and a free end (`acts`), but touch no sphere in `rolling`
+        (spheres whose contacts can all roll whatever the others do)."""
         return self.acts if self.rolling is None else self.acts & ~self.graph.any_end(self.rolling)
 
     @cached_property
@@ -143,9 +143,9 @@ class JudgedNetwork:
 
     @property
     def reach(self) -> list[Enclosure]:
-        """For each of C spin components a bound for each of n spheres, C enclosures (n,): some minimum has the spin
-        (times radius) of each sphere between the bound and its negative. On lattices, where spins are multiplied by the
-        sign of the sublattice and measured from the bottom, it is between the bound and 0. The bounds hold if each
+        """For each of C spin components a bound for each of n spheres, C enclosures (n,): at some minimum the spin
+        (times radius) of each sphere is between the bound and its negative. On lattices, where spins are multiplied by
+        the sign of the sublattice and measured from the bottom, it is between the bound and 0. The bounds hold if each
         component of a slip depends on one component of the spins."""
         return self.graph.reach(self.box, self.sign)
 
@@ -177,8 +177,8 @@ class JudgedNetwork:
 
     @cached_property
     def division(self) -> list[Part]:
-        """All n spheres in groups, in the order in which eliminations of matrices take them: by nested dissection of
-        the graph whose edges are the contacts between free spheres."""
+        """All n spheres in groups, in the order in which their unknowns are eliminated from a matrix: by nested
+        dissection of the graph whose edges are the contacts between free spheres."""
         first, second = self.graph.contact[:, self.acts]
         inner, count = self.free[first] & self.free[second], len(self.free)
         ends = np.append(first[inner], second[inner]), np.append(second[inner], first[inner])
@@ -186,21 +186,21 @@ class JudgedNetwork:
         return dissected(graph, self.graph.place.T, REGION_UNKNOWNS // len(self.spin))
 
     def parts_of(self, sphere: np.ndarray) -> list[Part]:
-        """Return n unknowns in groups, in the order in which an elimination of a matrix of these unknowns takes them.
-        The matrix may couple two unknowns only if contacts join their spheres.
+        """Return q unknowns in groups, in the order in which they are eliminated from a matrix. The matrix may couple
+        two unknowns only if contacts join their spheres.
 
-        sphere : (n,), the sphere to which each unknown belongs."""
+        sphere : (q,), the sphere to which each unknown belongs."""
         return restricted(self.division, sphere, REGION_UNKNOWNS)
 
     def samples_of(self, sphere: np.ndarray) -> Samples:
-        """Return to which of the R samples each of n unknowns belongs, as an object for eliminations.
+        """Return to which of the R samples each of q unknowns belongs, as an object for eliminations.
 
-        sphere : (n,), the sphere to which each unknown belongs."""
+        sphere : (q,), the sphere to which each unknown belongs."""
         return Samples(sphere // (len(self.free) // self.count), self.count)
 
     def some(self, pick: slice) -> JudgedNetwork:
-        """Return the network of the samples in the slice `pick` (of the R samples) alone; the network itself if these
-        are all."""
+        """Return the network of those of the R samples that are in the slice `pick`; the network itself if these are
+        all."""
 
         if len(range(*pick.indices(self.count))) == self.count:
             return self
@@ -244,8 +244,8 @@ class JudgedNetwork:
 
     @cached_property
     def kept(self) -> dict[bytes, object]:
-        """Results of proofs about this network that may be asked for again; the key of each is made of the arguments
-        with which it was found."""
+        """Results of proofs about this network that may be asked for again, empty at first; the key of each is made of
+        the bytes of the arguments."""
         return {}
 
     @cached_property
@@ -338,9 +338,8 @@ class JudgedNetwork:
 
     @property
     def joins(self) -> np.ndarray:
-        """(R,) mask of samples. On a lattice it is true if some spin component is imposed differently at bottom and
-        top, and contacts that slip when this component of a sphere changes connect both planes. A packing whose samples
-        are judged as one (`is_whole`) has one answer for all: whether contacts along any component may slip."""
+        """(R,) mask of the samples of a lattice in which some contact has to slip: in some spin component bottom and
+        top are driven differently, and contacts which that component makes slip connect both planes."""
         if self.is_whole:
             return np.full(self.count, bool(self.needed))
         return Motion(self, self.acts).torn
@@ -354,9 +353,9 @@ class JudgedNetwork:
 
     @cached_property
     def needed(self) -> list[int]:
-        """List of those of the C spin components, by their numbers k, along which contacts may slip at some minimum;
-        along all others no contact slips at any minimum. On a lattice the component about the height is never among
-        them, as each layer may turn freely about it."""
+        """The numbers k of the spin components, 0 to C - 1, along which contacts may slip at some minimum; along all
+        others no contact slips at any minimum. On a lattice the component about the height is never among them, as each
+        layer may turn freely about it."""
         return self.graph.needed(self.box, self._is_needed)
 
     def signs(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -376,15 +375,15 @@ class JudgedNetwork:
         return self.graph.signs(self.feels)
 
     def _is_needed(self, k: int) -> bool:
-        """Return False if some spins of the free spheres let no contact slip along component k, given the imposed ones.
-        Then nothing slips along it at any minimum. True otherwise."""
+        """Return False if with the imposed spins some spins of the free spheres let no contact slip along component k.
+        Then nothing slips along it at any minimum. Return True otherwise."""
         label, odd, sign = self.signs(k)
-        held = np.flatnonzero(~self.free)
-        # Then driven spheres of one part are driven alike but for the signs, and not at all where loops are odd.
-        own = self.imposed[k].signed(sign).at(held)
-        first, part = np.unique(label[held], return_index=True, return_inverse=True)[1:]
-        several = any((values != values[first][part]).any() for values in own.parts[:2])
-        return bool(several or (odd[held] & (own.high != 0)).any())
+        driven = np.flatnonzero(~self.free)
+        # Nothing slips if all driven spheres of a part have one imposed spin but for the signs, 0 where loops are odd.
+        signed = self.imposed[k].signed(sign).at(driven)
+        first, part = np.unique(label[driven], return_index=True, return_inverse=True)[1:]
+        differ = any((values != values[first][part]).any() for values in signed.parts[:2])
+        return bool(differ or (odd[driven] & (signed.high != 0)).any())
 
     def dissipated(self, of_slope: float, mask: np.ndarray | None = None) -> Enclosure:
         """Return for each of R samples the sum over contacts of mu F_n slip + `of_slope` eta slip^2 at the stored
@@ -392,8 +391,8 @@ class JudgedNetwork:
 
         of_slope : 1 for the power, 1/2 for the potential.
         mask : (m,) mask of the contacts that are summed; None for all with a coefficient and a free end."""
-        held, flows = self._dissipated if mask is None else self._sums(mask)
-        return held + flows.signed(of_slope)
+        of_friction, of_damping = self._dissipated if mask is None else self._sums(mask)
+        return of_friction + of_damping.signed(of_slope)
 
     @cached_property
     def _dissipated(self) -> tuple[Enclosure, Enclosure]:
@@ -402,15 +401,15 @@ class JudgedNetwork:
         return self._sums(self.acts)
 
     def _sums(self, mask: np.ndarray) -> tuple[Enclosure, Enclosure]:
-        """Return for each of R samples two sums over the contacts in `mask` (m,), at the stored spins: of mu
-        F_n slip, and of eta slip^2. Both are enclosures (R,) in units of the network."""
+        """Return for each of R samples two sums over the contacts in `mask` (m,), at the stored spins: of
+        mu F_n slip, and of eta slip^2. Both are enclosures (R,) in units of the network."""
         slips, slip = mask & ((self.slip.high != 0) | (self.slip.error != 0)), self.slip
-        held, flowing = nothing(self.count), nothing(self.count)
+        of_friction, of_damping = nothing(self.count), nothing(self.count)
         if self.law.has_friction:
-            held = row_sum(_product_in(self.holding, slip, slips).reshaped((self.count, -1)))
+            of_friction = row_sum(_product_in(self.holding, slip, slips).reshaped((self.count, -1)))
         if self.law.has_viscosity:
-            flowing = row_sum((self.slope * slip * slip).where(slips).reshaped((self.count, -1)))
-        return held, flowing
+            of_damping = row_sum((self.slope * slip * slip).where(slips).reshaped((self.count, -1)))
+        return of_friction, of_damping
 
 
 @in_cache
@@ -431,9 +430,9 @@ class Motion:
         the spins.
     rests : (m,) mask of the contacts that are taken to rest.
 
-    On a lattice the driven spheres of a plane that have one coordinate along the component, and so one spin, are of one
-    domain. What is imposed on the top differs a little from what is stored. This *shift* is far below the rounding of
-    spins, yet may exceed the smallest slips."""
+    On a lattice the driven spheres of a plane that have the same coordinate along the component, and so the same spin,
+    are of one domain. The imposed spin of the top differs from the stored one by a *shift*, far below the rounding of
+    spins, yet it may exceed the smallest slips."""
 
     network: JudgedNetwork
     rests: np.ndarray
@@ -454,12 +453,12 @@ class Motion:
         that turn as one: those that resting contacts join, and on lattices also the driven spheres of a plane that
         always have the same spin."""
         network, size = self.network, len(self.network.free)
-        own = network.graph.anchor(k)
+        anchor = network.graph.anchor(k)  # the sphere itself, or the first of those that are driven like it
         if not self.joins(k):
-            return own
+            return anchor
         first, second = network.graph.contact[:, self.rests & network.slips_with[k]]
-        held = np.flatnonzero(own != np.arange(size))
-        return pieces(size, np.append(first, held), np.append(second, own[held]))
+        others = np.flatnonzero(anchor != np.arange(size))
+        return pieces(size, np.append(first, others), np.append(second, anchor[others]))
 
     def _models(self, k: int) -> np.ndarray:
         """Return for each sphere (n,) the index of the sphere whose spin it takes in component k: among those that
@@ -476,11 +475,11 @@ class Motion:
         """(R,) mask of the samples in which resting contacts join driven spheres that are driven differently: with
         these contacts at rest no motion exists."""
         network, found = self.network, np.zeros(self.network.count, dtype=bool)
-        held = np.flatnonzero(~network.free)
+        driven = np.flatnonzero(~network.free)
         for k in (k for k in network.components if network.imposed[k].high.any() and self.joins(k)):
-            own, model = network.imposed[k].signed(network.sign[k]), self._models(k)[held]
-            differs = np.any([part[held] != part[model] for part in own.parts[:2]], axis=0)
-            found[held[differs] // (len(network.free) // network.count)] = True
+            signed, model = network.imposed[k].signed(network.sign[k]), self._models(k)[driven]
+            differs = np.any([part[driven] != part[model] for part in signed.parts[:2]], axis=0)
+            found[driven[differs] // (len(network.free) // network.count)] = True
         return found
 
     @cached_property
@@ -490,12 +489,9 @@ class Motion:
         return {}
 
     def _signed_spin(self, k: int) -> tuple[Enclosure, Enclosure | None]:
-        """Return a pair for component k, computed on first use:
-
-        1. enclosures (n,): spins times radius, times the sign +1 or -1 by which neighbours differ. They are exactly
-           equal for spheres that resting contacts join.
-        2. enclosures (n,): for spheres that turn with the top of a lattice the imposed less the stored spin, 0 for
-           others; None if it is 0 everywhere."""
+        """Return a pair for component k, computed by :meth:`_find_signed_spin` on first use: enclosures (n,) of signed
+        spins (times radius, and times the sign +1 or -1 by which neighbours differ); and how much the imposed spin of
+        the top exceeds the stored one, (n,) or None."""
         if k not in self._signed_spins:
             self._signed_spins[k] = self._find_signed_spin(k)
         return self._signed_spins[k]
@@ -508,21 +504,22 @@ class Motion:
         2. enclosures (n,): for spheres that turn with the top of a lattice the imposed less the stored spin, 0 for
            others; None if it is 0 everywhere."""
         network = self.network
-        own = network.graph.signed(network.spin[k], network.sign[k])
+        signed = network.graph.signed(network.spin[k], network.sign[k])
         if (self.rests & ~network.still).any():
-            own = own.at(self._models(k))
+            signed = signed.at(self._models(k))
         shift = network.graph.shift(k)
         if shift is None or not (shift.high.any() or shift.error.any()):
-            return own, None
-        return own, shift.at(self._models(k)) if self.joins(k) else shift
+            return signed, None
+        return signed, shift.at(self._models(k)) if self.joins(k) else shift
 
     @cached_property
     def slip(self) -> Enclosure:
         """(m,), slip speeds of all contacts of a lattice in this motion; exactly 0 where the stored spins have no slip
         at all."""
         network = self.network
-        turns = [self._signed_spin(k) for k in network.components]
-        return slices(network.graph).slips([own for own, _ in turns], [shift for _, shift in turns], network.still)
+        pairs = [self._signed_spin(k) for k in network.components]
+        signed, shifts = [spin for spin, _ in pairs], [shift for _, shift in pairs]
+        return slices(network.graph).slips(signed, shifts, network.still)
 
     def difference(self, k: int, contacts: np.ndarray) -> Enclosure:
         """Return for q contacts s_j u_j - s_i u_i, an enclosure (q,): the difference of the spins (times radius) of the
@@ -531,11 +528,11 @@ class Motion:
 
         contacts : (q,), indices of the contacts; this component must make all of them slip."""
         first, second = self.network.graph.contact[:, contacts]
-        own, shift = self._signed_spin(k)
+        signed, shift = self._signed_spin(k)
         domain, found = self.domain[k], nothing(len(contacts))
         differ = np.flatnonzero(domain[first] != domain[second])
-        found.put(differ, own.at(second[differ]) - own.at(first[differ]))
-        if shift is not None:  # add what the stored spin of the top lacks of the imposed one
+        found.put(differ, signed.at(second[differ]) - signed.at(first[differ]))
+        if shift is not None:  # add the imposed less the stored spin of the top
             at_top = np.flatnonzero(shift.high[first] != shift.high[second])
             found.put(at_top, found.at(at_top) + (shift.at(second[at_top]) - shift.at(first[at_top])))
         return found
