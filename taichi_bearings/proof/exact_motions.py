@@ -17,15 +17,15 @@ The proof
    guess it in doubles. Where it looks like fractions, these are taken, multiplied by their common denominator, and
    products without rounding decide whether no contact slips.
 3. If that holds for all of J, these motions span the kernel of K: by s > 0 nothing outside J can move alone.
-4. What friction on these contacts may be needed to exert torques r that they can exert at all. It is proven that |K x|
-   >= s |x / unit| for all x that are 0 on J, with a unit for each unknown. Some friction f = K x exerts r, and x may be
-   taken to be 0 on J, as motions of the kernel make no slip. Then |f|^2 = r . x <= |unit r| |x / unit|, so |f| is no
-   larger than |unit r| / s. Here r is all of the torques, in the range of K^T. A bound on r but for a part along
-   motions of the kernel is not enough: units are 0 on J, and r may be elsewhere (borne.py, step 4).
+4. How large friction on these contacts has to be to exert torques r that it can exert at all. It is proven that
+   |K x| >= s |x / unit| for all x that are 0 on J, with a unit for each unknown. Some friction f = K x exerts r, and x
+   may be taken to be 0 on J, as motions of the kernel make no slip. Then |f|^2 = r . x <= |unit r| |x / unit|, so |f|
+   is no larger than |unit r| / s. Here r are the whole torques, in the range of K^T. A bound on r without its part
+   along motions of the kernel is not enough, as units are 0 on J (borne.py, step 4).
 5. In the same way spins that let contacts with driven spheres roll follow from each imposed spin.
 
 Contacts join free spheres to *parts*. A part that has no more conditions than unknowns outside J needs no such proof
-and is left out. Spheres whose motion is not exact are left out, too, and the rest is tried again.
+and is left out. Spheres whose motion is not exact are left out, too, and the other spheres are tried again.
 
 Example. Four equal spheres in a square ring, normals along x and y. With the spins about z (1, -1, 1, -1) no contact
 slips, as u_i + u_j = 0. J has the z spin of the first sphere, and the fractions are 1 and -1. It takes four contacts,
@@ -57,8 +57,8 @@ WHOLE, LARGEST = 1e-6, 2.0**40
 LEFT_SLIP = 1e-12  # slip, of motions in which one spin is 1, that is left over and no reason to solve once more
 MOST_ROUNDS = 12  # number of times that spheres are left out and the rest is tried again
 MOST_EXACT_SPHERES = 20_000  # free spheres beyond which exact motions take longer than finding the minimum
-# Motions that are solved for at once; choices of a part in one of them at most; share of the choices that such sums may
-# leave open before each is solved for alone.
+# Motions that are solved for at once; most choices of one part whose motions are solved for as one sum; share of the
+# choices that such sums may leave without a motion, before each choice is solved for alone.
 SLOTS_AT_ONCE, CHOICES_IN_A_SUM, WORTH_A_ROUND = 64, 32, 0.5
 
 
@@ -71,7 +71,7 @@ class ExactMotions:
     contacts : (E,) mask of these contacts: among these spheres, and with driven ones.
     floor, unit : (R,) and (N, 3), for a bound on friction: if friction on these contacts can exert given torques at
         all, some of a size of at most |unit * torque| / floor does (step 4). The floor is infinite for samples without
-        any sphere. Units are 0 for spin components that are no unknown or are in J.
+        any such sphere. Units are 0 for spin components that are no unknown or are in J.
     motions : how the spins of these spheres follow from a few of them and from imposed spins, such that no contact
         slips; None if there is no such contact.
     """
@@ -84,26 +84,25 @@ class ExactMotions:
 
     @classmethod
     def of(cls, network: JudgedNetwork, number: np.ndarray, rests: np.ndarray) -> ExactMotions:
-        """Find a large set of contacts for which motions without any slip at all of them are proven to exist, in exact
+        """Return a large set of contacts that can all roll at once, and the motions in which they do, proven in exact
         arithmetic. First all contacts of `rests` are tried; as long as that fails some spheres are left out, up to
-        MOST_ROUNDS times.
+        MOST_ROUNDS times. Where there are too many free spheres the set is empty.
 
         network : N spheres and E contacts of R samples of a packing.
         number : (N, 3), the index of each spin component among the unknowns, -1 for those that are none.
         rests : (E,) mask of the contacts that shall roll.
 
         The result is stored in `network.kept`, since a second proof asks for it again where a first one has failed."""
-        asked = number.tobytes() + rests.tobytes()
-        if asked not in network.kept:
+        key = number.tobytes() + rests.tobytes()
+        if key not in network.kept:
             network.kept.clear()
-            network.kept[asked] = cls._found(network, number, rests)
-        return cast(ExactMotions, network.kept[asked])
+            network.kept[key] = cls._found(network, number, rests)
+        return cast(ExactMotions, network.kept[key])
 
     @classmethod
     def _found(cls, network: JudgedNetwork, number: np.ndarray, rests: np.ndarray) -> ExactMotions:
-        """Find a large set of contacts for which motions without any slip at all of them are proven to exist, in exact
-        arithmetic. First all contacts of `rests` are tried; as long as that fails some spheres are left out, up to
-        MOST_ROUNDS times. Where there are too many free spheres the set is empty.
+        """Return a large set of contacts that can all roll at once, and the motions in which they do, as :meth:`of`
+        does, but without storing it.
 
         network : N spheres and E contacts of R samples of a packing.
         number : (N, 3), the index of each spin component among the unknowns, -1 for those that are none.
@@ -111,8 +110,9 @@ class ExactMotions:
         spheres, (first, second) = network.reached, network.graph.contact
         following: np.ndarray | None = None  # (N, 3) mask: unknowns that follow from others, once it is known
         for _ in range(MOST_ROUNDS if spheres.sum() <= MOST_EXACT_SPHERES * network.count else 0):
-            whole = spheres | ~network.free
-            contacts = rests & whole[first] & whole[second]
+            # Contacts between these spheres, and between them and driven ones; spheres without any are left out.
+            or_driven = spheres | ~network.free
+            contacts = rests & or_driven[first] & or_driven[second]
             touched = np.zeros(len(spheres), dtype=bool)
             touched[network.graph.contact[:, contacts]] = True
             spheres = spheres & touched
@@ -125,7 +125,7 @@ class ExactMotions:
                 following, spheres = np.zeros(parts.free.shape, dtype=bool), spheres & ~idle
                 following[parts.free] = follows
                 continue
-            # Either all of them can roll exactly, or some spheres are left out and the rest is tried again.
+            # Either all of them can roll exactly, or some spheres are left out and the others are tried again.
             found = parts.floor_and_motions(follows)
             if isinstance(found, tuple):
                 return cls(spheres, contacts, *found)
@@ -134,17 +134,17 @@ class ExactMotions:
 
     @classmethod
     def none(cls, network: JudgedNetwork) -> ExactMotions:
-        """Return the object that says of no contact of a network that it can roll exactly."""
+        """Return the empty result for a network: of none of its contacts it is proven that it can roll exactly."""
         spheres, contacts = (np.zeros(of.shape, dtype=bool) for of in (network.free, network.counts))
         return cls(spheres, contacts, np.full(network.count, np.inf), np.zeros((len(spheres), 3)))
 
     def rolling(self, spin: list[Enclosure]) -> list[Enclosure]:
-        """Return spins times radius by component, 3 enclosures (N,), length/time, changed so little that all contacts
-        of the mask `contacts` roll exactly. They are the given ones if there is no such contact.
+        """Return spins times radius by component, 3 enclosures (N,), length/time, close to the given ones, at which all
+        contacts of the mask `contacts` roll exactly. They are the given ones if there is no such contact.
 
         spin : given spins times radius by component, 3 enclosures (N,), sums of two doubles. They are kept for all
-            spheres that these contacts do not join, and for as few others as determine the rest (chosen in
-            `motions`); the rest follows from these and from the imposed spins.
+            spheres that these contacts do not join, and for a few unknowns of the others (chosen in `motions`). The
+            other unknowns follow from these and from the imposed spins.
         """
         return spin if self.motions is None else self.motions.spin(spin)
 
@@ -198,8 +198,8 @@ class _Parts:
 
     def with_nothing_to_prove(self, follows: np.ndarray) -> np.ndarray:
         """Return the mask (N,) of the spheres that need no proof in exact arithmetic. A slip has two components. A part
-        needs no proof if its contacts have no more of these than unknowns that follow, and a sample needs none if no
-        unknown in it follows.
+        (free spheres that contacts connect) needs no proof if its contacts have no more of these than it has unknowns
+        that follow from others. A sample needs none if no unknown in it follows.
 
         follows : (n,) mask of the unknowns that follow from others.
         """
@@ -216,21 +216,22 @@ class _Parts:
         a mask (N,) of at least one sphere that is to be left out before the next try.
 
         follows : (n,) mask of the unknowns that follow from others, as a guess."""
-        everything, sphere = np.asarray(self.free.any(axis=1)), np.nonzero(self.free)[0]
+        all_spheres, sphere = np.asarray(self.free.any(axis=1)), np.nonzero(self.free)[0]
         network, place = self.network, self.network.graph.place[sphere].T
         samples = network.samples_of(sphere)
-        in_order = np.empty(len(follows), dtype=np.intp)
-        in_order[np.concatenate([part.nodes for part in network.parts_of(sphere)])] = np.arange(len(follows))
-        # The motions that follow from chosen and imposed numbers, and, if no contact slips, a floor for the others.
+        place_in_order = np.empty(len(follows), dtype=np.intp)
+        place_in_order[np.concatenate([part.nodes for part in network.parts_of(sphere)])] = np.arange(len(follows))
+        # The columns of K for the unknowns that follow, factorised.
         rows, choices = sparse.csr_array(self.rows[:, follows]), _Choices.of(self, np.flatnonzero(~follows))
         parts, followers = network.parts_of(sphere[follows]), network.samples_of(sphere[follows])
         elimination = Elimination.of((rows.T @ rows).tocsc(), place[:, follows], parts, followers)
         factor = elimination.factorised_samples()
         if choices is None:
-            return everything
+            return all_spheres
         if factor.failed.any():
             return self._spheres(factor.failed[samples.of])
-        motions, no_fraction = _Motions.of(self, choices, np.flatnonzero(follows), rows, factor, in_order)
+        # The motions of all choices in fractions, and, if no contact slips in them, a floor for the other unknowns.
+        motions, no_fraction = _Motions.of(self, choices, np.flatnonzero(follows), rows, factor, place_in_order)
         slipping = motions.slipping_contacts()
         if not len(slipping):
             floor = Floor.of(rows, rounding_of(rows), elimination, factor)
@@ -239,12 +240,12 @@ class _Parts:
             unit = np.zeros(self.free.shape)
             unit[tuple(of[follows] for of in np.nonzero(self.free))] = floor.unit
             return np.sqrt(floor.tau) / UP, unit, motions
-        found = self._spheres(no_fraction)
         # Leave out spheres with a number that is no fraction, and both ends of contacts that slip though all numbers
         # are fractions.
-        clear = ~found[self.ends[:, slipping]].any(axis=0)
-        found[self.ends[:, slipping[clear]]] = True
-        result: tuple[np.ndarray, np.ndarray, _Motions] | np.ndarray = found & everything
+        left_out = self._spheres(no_fraction)
+        all_fractions = ~left_out[self.ends[:, slipping]].any(axis=0)
+        left_out[self.ends[:, slipping[all_fractions]]] = True
+        result: tuple[np.ndarray, np.ndarray, _Motions] | np.ndarray = left_out & all_spheres
         return result
 
     def _spheres(self, unknowns: np.ndarray) -> np.ndarray:
@@ -256,13 +257,13 @@ class _Parts:
 
 @dataclass(frozen=True)
 class _Choices:
-    """The q numbers from which the spins of rolling spheres follow: first some chosen unknown spin components; then the
-    imposed spin components, each absolute value that occurs in a part being one number. A part is a group of free
-    spheres that contacts connect.
+    """The q numbers from which the spins of rolling spheres follow, the *choices*: first some chosen unknown spin
+    components; then the absolute values of imposed spin components, one for each value that occurs in a part. A part is
+    a group of free spheres that contacts connect.
 
-    chosen : indices of the chosen unknowns.
-    imposed : the imposed absolute values (spin times radius), one enclosure with an entry for each pair of a part and a
-        value that occurs in it.
+    chosen : (k,), indices of the chosen unknowns.
+    imposed : (q - k,), the imposed absolute values (spin times radius), an enclosure with an entry for each pair of a
+        part and a value that occurs in it.
     owner : (q,), the part to which each number belongs.
     slot : (q,), its place, from 0, among the numbers of this part.
     sums : (3 A, q), what a unit of each number contributes to u_i + u_j, the sum of the spins of both spheres (times
@@ -290,11 +291,11 @@ class _Choices:
         size, which = np.unique(sizes, axis=1, return_inverse=True)
         if not ((size[0] > FAINT).all() and (error[~moves] == 0).all()):
             return None
-        # Imposed components of one size, with either sign, are one number.
-        of_size = sparse.csr_array((np.sign(high[moves]), (np.arange(moves.sum()), which.ravel())),
-                                   shape=(moves.sum(), size.shape[1]))  # fmt: skip
-        brought = sparse.coo_array(_sum_of_spins(parts.ends, numbered(moves)) @ of_size)
-        row, value = brought.coords
+        # What a unit of each size contributes to u_i + u_j: imposed components of one size have either sign.
+        sign_of_size = sparse.csr_array((np.sign(high[moves]), (np.arange(moves.sum()), which.ravel())),
+                                        shape=(moves.sum(), size.shape[1]))  # fmt: skip
+        by_size = sparse.coo_array(_sum_of_spins(parts.ends, numbered(moves)) @ sign_of_size)
+        row, value = by_size.coords
         # Give `sums` a column for each pair of a part and an imposed size that occurs in it.
         pairs, column = np.unique(parts.of_contact[row % contacts] + parts.count * value, return_inverse=True)
         # Number the choices of each part from 0.
@@ -302,7 +303,7 @@ class _Choices:
         order = np.argsort(owner, kind="stable")
         slot = np.empty_like(order)
         slot[order] = np.arange(len(order)) - np.searchsorted(owner[order], owner[order])
-        by_imposed = sparse.csr_array((brought.data, (row, column)), shape=(3 * contacts, len(pairs)))
+        by_imposed = sparse.csr_array((by_size.data, (row, column)), shape=(3 * contacts, len(pairs)))
         sums = sparse.hstack([_sum_of_spins(parts.ends, numbered(parts.free))[:, chosen], by_imposed], format="csr")
         imposed = Enclosure.exact(*size[:, pairs // parts.count])
         return cls(chosen, imposed, owner, slot, sparse.csr_array(sums))
@@ -311,16 +312,15 @@ class _Choices:
 @dataclass
 class _Solved:
     """Solver for motions without slip, in doubles by least squares. All spins follow from q numbers, the *choices*. The
-    motion of a choice is what the other unknowns have to be if this number is 1 and all others are 0. Motions are
-    computed in columns of numbers, one column for one choice or for the sum of several.
+    motion of a choice are the values of the other unknowns if this number is 1 and all other choices are 0. Motions are
+    the columns of a matrix, one column for one choice or for the sum of several.
 
     parts : A contacts, their n unknowns, and the parts: groups of free spheres that the contacts connect.
     choices : the q numbers.
     follow : (f,), indices of the unknowns that follow from the choices.
     rows : (3 A, f), the matrix that gives slips from these unknowns.
     factor : Cholesky factor of rows^T rows.
-    fewer : True if choices of one part shall no longer share a column, since too many of them moved the same spheres
-        or connected ones, so that their motions could not be told apart."""
+    fewer : True if choices of one part shall no longer share a column, since too many of their motions overlapped."""
 
     parts: _Parts
     choices: _Choices
@@ -333,9 +333,9 @@ class _Solved:
         """Return for each of k choices (numbers from which all spins follow) the column (k,) in which its motion is to
         be computed; and True if a column may hold several choices of one part.
 
-        Choices of different parts share columns, since parts (spheres that contacts connect) do not touch. Choices of
-        one part have a column each if they are imposed spins, which move many spheres, if they are few, or if `fewer`
-        is set; else they share columns.
+        Choices of different parts share columns, since their motions do not overlap (a part is a group of spheres that
+        contacts connect). Choices of one part share columns, too, unless they are imposed spins, which move many
+        spheres, or few, or `fewer` is set.
 
         chosen : (k,), indices of the choices; either all are imposed spins, or none."""
         owner = self.choices.owner[chosen]
@@ -368,47 +368,53 @@ class _Solved:
         return np.where(np.isfinite(x), x, 0.0)
 
     def one_of_each_part(self, x: np.ndarray, chosen: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the motions of single choices, as `split` does, from columns that hold at most one choice of each part
-        (spheres that contacts connect). No choice is left: the second result is empty, (0,).
+        """Return the motions of single choices, from columns that hold at most one choice of each part (a group of
+        spheres that contacts connect). A choice is a spin component that can be set freely; its motion is how the f
+        other unknowns follow. Returns two arrays:
 
-        x : (f, columns), the sums of motions.
+        1. (3, entries), a column for each number of x that is not nearly 0: which of the f unknowns moves, the index of
+           the choice, and by how much;
+        2. (0,), the choices for which this fails: none.
+
+        x : (f, columns), each column the sum of the motions of several choices.
         chosen : (k,), indices of the choices.
         column : (k,), the column of x that each choice belongs to."""
         choice = np.full((self.parts.count, x.shape[1]), -1)
         choice[self.choices.owner[chosen], column] = chosen
-        at, among = np.nonzero(np.abs(x) > WHOLE)
-        own = choice[self.parts.of_unknown[self.follow[at]], among]
-        there = own >= 0
-        return np.stack([at[there], own[there], x[at[there], among[there]]]), chosen[:0]
+        unknown, place = np.nonzero(np.abs(x) > WHOLE)
+        mover = choice[self.parts.of_unknown[self.follow[unknown]], place]
+        known = mover >= 0
+        return np.stack([unknown[known], mover[known], x[unknown[known], place[known]]]), chosen[:0]
 
     def split(self, x: np.ndarray, chosen: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Take sums of motions apart: return the motions of single choices, and the choices for which this fails.
+        """Return the motions of single choices, from sums of motions; and the choices for which this fails.
 
-        A choice is a spin component that can be set freely; its motion is how the f other unknowns follow. Moving
-        spheres that contacts connect form a set. If a set contains one choice, its motion makes no contact slip and is
-        1 at this choice alone; so it is the motion of this choice. The choices of sets with several are left.
+        A choice is a spin component that can be set freely; its motion is how the f other unknowns follow. In a sum,
+        moving spheres that contacts connect form a set. If a set contains one choice, it makes no contact slip and is 1
+        at this choice alone; so it is the motion of this choice. Sets with several choices fail.
 
         The first result is an array (3, entries) with a column for each number of x that is not nearly 0: which of the
-        f unknowns moves, the index of the choice, and by how much. The second is (left,), indices of choices.
+        f unknowns moves, the index of the choice, and by how much. The second, (failed,), has indices of choices.
 
         x : (f, columns), each column the sum of the motions of several choices.
         chosen : (k,), indices of the choices.
         column : (k,), the column of x that each choice belongs to."""
         width, sphere = x.shape[1], np.nonzero(self.parts.free)[0]
-        at, among = np.nonzero(np.abs(x) > WHOLE)
-        # A node is a sphere in a column. Contacts join two of them if both spheres move in this column.
-        node, of_choice = sphere[self.follow[at]] * width + among, sphere[self.choices.chosen[chosen]] * width + column
+        unknown, place = np.nonzero(np.abs(x) > WHOLE)
+        # A node is a sphere in a column. A contact joins two nodes if both spheres move in this column.
+        node = sphere[self.follow[unknown]] * width + place
+        node_of_choice = sphere[self.choices.chosen[chosen]] * width + column
         moves = np.zeros((len(self.parts.free), width), dtype=bool)
-        moves.flat[node] = moves.flat[of_choice] = True
+        moves.flat[node] = moves.flat[node_of_choice] = True
         first, second = self.parts.ends[:, self.parts.network.free[self.parts.ends].all(axis=0)]
         contact, inside = np.nonzero(moves[first] & moves[second])
         label = pieces(moves.size, first[contact] * width + inside, second[contact] * width + inside)
-        alone = np.bincount(label[of_choice], minlength=moves.size)[label[of_choice]] == 1
+        is_alone = np.bincount(label[node_of_choice], minlength=moves.size)[label[node_of_choice]] == 1
         choice = np.full(moves.size, -1)
-        choice[label[of_choice[alone]]] = chosen[alone]
-        own = choice[label[node]]
-        there = own >= 0
-        return np.stack([at[there], own[there], x[at[there], among[there]]]), chosen[~alone]
+        choice[label[node_of_choice[is_alone]]] = chosen[is_alone]
+        mover = choice[label[node]]
+        known = mover >= 0
+        return np.stack([unknown[known], mover[known], x[unknown[known], place[known]]]), chosen[~is_alone]
 
 
 @dataclass(frozen=True)
@@ -436,12 +442,12 @@ class _Motions:
         factor: Factor,
         place: np.ndarray,
     ) -> tuple[_Motions, np.ndarray]:
-        """Guess, as fractions, the motion without slip that follows if one of the q numbers in `choices` is 1 and all
-        others are 0. Return these motions, and a mask (n,) of the unknowns at which some motion is no fraction. Whether
-        contacts really do not slip is checked elsewhere (`slipping_contacts`).
+        """Return guesses of the motions without slip in which one of the q numbers in `choices` is 1 and all others are
+        0, as fractions; and a mask (n,) of the unknowns at which some motion is no fraction. Whether contacts really do
+        not slip is checked by `slipping_contacts`.
 
         Motions mostly move a few spheres, so those of choices far apart are found together, as one sum. Moving spheres
-        that contacts connect, with one choice among them, move by the motion of this choice. Where there are several
+        that contacts connect, with one choice among them, move by the motion of this choice. If there are several
         choices among them, these are tried again with fewer others.
 
         parts : A contacts and their n unknowns.
@@ -451,22 +457,22 @@ class _Motions:
         factor : Cholesky factor of rows^T rows.
         place : (n,), place of each unknown in an order in which unknowns close in space are mostly near each other."""
         count, chosen = len(choices.slot), len(choices.chosen)
-        solved = _Solved(parts, choices, follow, rows, factor)
+        solver = _Solved(parts, choices, follow, rows, factor)
         found = [np.zeros((3, 0))]
         # First the imposed spins, then the chosen unknowns; `waiting` are those whose motion is not known yet.
         for waiting in (np.arange(chosen, count), np.argsort(place[choices.chosen])):
             while len(waiting):
-                column, together = solved.columns(waiting)
-                tried, open_ = len(waiting), [waiting[:0]]
+                column, together = solver.columns(waiting)
+                tried, failed = len(waiting), [waiting[:0]]
                 for begin in range(0, int(column.max()) + 1, SLOTS_AT_ONCE):
-                    own = (column >= begin) & (column < begin + SLOTS_AT_ONCE)
-                    of_batch = waiting[own], column[own] - begin
-                    x = solved.motions(*of_batch)
-                    entries, merged = (solved.split if together else solved.one_of_each_part)(x, *of_batch)
+                    in_batch = (column >= begin) & (column < begin + SLOTS_AT_ONCE)
+                    batch = waiting[in_batch], column[in_batch] - begin
+                    x = solver.motions(*batch)
+                    entries, overlapping = (solver.split if together else solver.one_of_each_part)(x, *batch)
                     found.append(entries)
-                    open_.append(merged)
-                waiting = np.concatenate(open_)
-                solved.fewer = len(waiting) > WORTH_A_ROUND * tried
+                    failed.append(overlapping)
+                waiting = np.concatenate(failed)
+                solver.fewer = len(waiting) > WORTH_A_ROUND * tried
         at, choice, x = np.concatenate(found, axis=1)
         at, choice = follow[at.astype(int)], choice.astype(int)
         # Multiply the numbers of each motion by their common denominator, and round to integers.
@@ -480,17 +486,18 @@ class _Motions:
         return cls(parts, choices, motion, unit), no_fraction
 
     def slipping_contacts(self) -> np.ndarray:
-        """Return the indices (n,) of those of the A contacts that may slip in these motions. The others are proven to
-        roll exactly, whatever the q numbers are from which the spins follow. If integers are too large for exact sums,
-        all A contacts are returned."""
+        """Return the indices of those of the A contacts that may slip in these motions. The others are proven to roll
+        exactly, whatever the q numbers are from which the spins follow. If integers are too large for exact sums, all A
+        contacts are returned."""
         count, chosen = len(self.parts.normal), len(self.choices.chosen)
         if not (np.abs(self.motion.data) < LARGEST).all():
             return np.arange(count)
         # u_i + u_j of every contact and choice, in integers, without rounding. A contact rolls if it is along n.
-        imposed = self.choices.sums[:, chosen:] @ sparse.diags_array(self.unit[chosen:])
-        brought = _sum_of_spins(self.parts.ends, numbered(self.parts.free)) @ self.motion
-        entries = sparse.coo_array(brought + sparse.hstack([0 * self.choices.sums[:, :chosen], imposed]))
+        by_imposed = self.choices.sums[:, chosen:] @ sparse.diags_array(self.unit[chosen:])
+        by_unknowns = _sum_of_spins(self.parts.ends, numbered(self.parts.free)) @ self.motion
+        entries = sparse.coo_array(by_unknowns + sparse.hstack([0 * self.choices.sums[:, :chosen], by_imposed]))
         row, choice = entries.coords
+        # the pairs of a contact and a choice that moves it, with a column of `sums` for each
         pairs, column = np.unique(row % count * len(self.unit) + choice, return_inverse=True)
         sums = np.zeros((3, len(pairs)))
         sums[row // count, column] = entries.data
@@ -530,17 +537,18 @@ def _common_denominators(x: np.ndarray, owner: np.ndarray, count: int) -> np.nda
     """Return for each of `count` groups of numbers, taken as fractions, their least common denominator, (count,); 1
     where it is too large.
 
-    x : (k,), numbers. Those that no fraction with a denominator up to DENOMINATORS is close to are ignored.
+    x : (k,), numbers. Those that are close to no fraction with a denominator up to DENOMINATORS are ignored.
     owner : (k,), the group to which each number belongs, 0 to count - 1."""
     rest, before, below = x - np.round(x), np.zeros_like(x), np.ones_like(x)
-    # Continued fractions of all numbers at once, until each is found or its denominator is too large.
+    # Continued fractions of all numbers at once: the denominators of successive convergents, the next one being
+    # round(1 / rest) * below + before, until each number is found or its denominator is too large.
     while True:
-        open_ = (np.abs(x * below - np.round(x * below)) > WHOLE) & (np.abs(below) <= DENOMINATORS)
-        if not open_.any():
+        goes_on = (np.abs(x * below - np.round(x * below)) > WHOLE) & (np.abs(below) <= DENOMINATORS)
+        if not goes_on.any():
             break
         inverse = 1 / rest
         rest = inverse - np.round(inverse)
-        before, below = np.where(open_, below, before), np.where(open_, np.round(inverse) * below + before, below)
+        before, below = np.where(goes_on, below, before), np.where(goes_on, np.round(inverse) * below + before, below)
     denominator = np.where(np.abs(below) <= DENOMINATORS, np.abs(below), 1).astype(np.int64)
     found, order = np.ones(count, dtype=np.int64), np.argsort(owner, kind="stable")
     present, begin = np.unique(owner[order], return_index=True)
@@ -551,7 +559,7 @@ def _common_denominators(x: np.ndarray, owner: np.ndarray, count: int) -> np.nda
 
 def _rolls(sums: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """Return a mask (k,), True where the cross product of a vector with a normal is proven to be exactly 0, so that the
-    contact rolls: in each component of it both products are equal as exact sums of two doubles.
+    contact rolls. It is a difference of two products in each component; these are equal as exact sums of two doubles.
 
     sums : (3, k), the vectors, sums of the spins of both spheres of a contact: integers as doubles.
     normal : (3, k), doubles."""
