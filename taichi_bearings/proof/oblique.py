@@ -14,7 +14,7 @@ Symbols
     B : matrix whose square |B x|^2 is the curvature of the potential along x, for x in V.
     tau : proven lower bound of |B x|^2 / |x|^2, with each unknown in a unit of its own (curvature.Floor).
     to_v : bound on how far the slip of a contact is from its slip at some spins in V.
-    loose : contacts of T that need not roll exactly, and the free spheres that no exactly rolling contact touches.
+    loose : contacts of T that need not roll exactly; also the free spheres that no exactly rolling contact touches.
 
 The proof
 1. V is not empty, and some of its spins are close to the given ones. Where contacts of T set more conditions than their
@@ -30,14 +30,15 @@ The proof
    potential rises wherever |B x| exceeds (|B z| + |r - B^T B z| / tau^1/2 + |a|) / 0.72, and the minimum is closer than
    that. (This is meant with B at the nearest spins in V; a factor covers what the one at hand may differ from it.) With
    a step of Newton's method as z hardly any torque is left for tau: stiff contacts bear most of r.
-3. This minimum in V is a minimum over all spins, if T can bear what S leaves to it. The friction of S at the minimum is
-   known closely. The potential has no slope within V, so what the friction of T at hand leaves over is balanced by some
-   correction of it. The loose spheres touch loose contacts only, whose rows of K there are independent: so the
-   correction of these is what their spheres ask for, at most unit |torques| / floor. What it brings to the other
-   spheres is added to the torques there. These are orthogonal to each motion that rolls exactly, as loose spheres can
-   join any such motion without slip. So the exactly rolling contacts can balance them, with at most |unit torques| / s
-   (exact_motions.py, step 4). If |friction at hand| + correction stays below mu F_n at each contact of T, this is
-   optimal friction below its limit, and T slips at no minimum (theorem 4). So all minima are in V, where there is one.
+3. This minimum in V is a minimum over all spins, if friction of T, within its limits, balances the torques of S. The
+   friction of S at the minimum is known closely. The potential has no slope within V, so the torques that the given
+   friction leaves over are balanced by some correction on T, which has two parts. The loose spheres touch loose
+   contacts only, whose rows of K there are independent: so the correction on these is at most unit |torques| / floor.
+   Its torques on the other spheres are added to those there. The sum is orthogonal to each motion that rolls exactly,
+   as loose spheres can join any such motion without slip. So the exactly rolling contacts can balance it, with at most
+   |unit torques| / s (exact_motions.py, step 4). If |given friction| + correction stays below mu F_n at each contact
+   of T, this is optimal friction below its limit, and T slips at no minimum (theorem 4). So all minima are in V, where
+   there is one.
 
 Example. A free ball touches one driven ball at which it rolls (T, mu F_n = 3) and another one along which it slips with
 |y| = 1 (S, mu F_n = 1). The contact of T leaves the ball one freedom: to turn about the normal of T. This motion x
@@ -45,9 +46,9 @@ changes y; the curvature is the square of that change across y, times mu F_n / |
 friction 1 along y, and the torque of S about the normal of T is 0, the spins are those of the minimum in V. The
 friction on T that balances the rest of the torque of S has size 1, below 3: the ball rolls on T at every minimum.
 
-Newton's method improves the spins within V before a second try: it moves them until S leaves over only torques that T
-can bear, and changes the friction of T to bear them. It calculates in sums of two doubles, of which each step finds
-more digits. Nothing about it has to be proven, since the proof starts from whatever spins come out.
+If the proof fails with the given spins, Newton's method improves spins and friction of T for a second try, until all
+torques balance. Each step finds more digits of sums of two doubles. Nothing about it has to be proven, since the proof
+starts from whatever spins come out.
 
 Steps 2 and 3 are in centre.py. Where some contacts slip so slowly that their stiffness mu F_n / |y| leaves nothing but
 rounding of softer motions, step 2 takes other unknowns (among_motions.py).
@@ -64,10 +65,11 @@ from taichi_bearings.proof.enclosure import UP, length
 from taichi_bearings.proof.exact_motions import ExactMotions
 from taichi_bearings.proof.springs import floor_by_contact, numbered
 
-# A contact is put into S if its slip exceeds the first share of the fastest imposed component; or the second one, if
-# its friction is at its limit but for the third share. Any choice is safe, since a wrong one only makes the proof fail.
+# A contact is put into S if its slip over the fastest imposed component exceeds the first number; or the second one, if
+# its friction misses its limit by no more than the third share. A wrong choice only makes the proof fail.
 MOVING, SLOWLY_MOVING, NOT_AT_LIMIT = 1e-10, 1e-22, 1e-9
-SLOW_SLIP = 3e-11  # slip, as such a share, below which unknowns of their own are tried first
+# slip over the fastest imposed component, below which coordinates of its own for each slow contact are tried first
+SLOW_SLIP = 3e-11
 
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
@@ -87,7 +89,7 @@ def enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray, np.ndarray
         falls into separate parts. Then only the stored spins are tried; for a single sample also spins improved by
         Newton's method."""
     network, unknown = bounds.network, bounds.unknown
-    longest = np.linalg.norm(network.graph.normal, axis=1).max(initial=0.0)  # the proof takes normals for units
+    longest = np.linalg.norm(network.graph.normal, axis=1).max(initial=0.0)  # the proof takes normals for unit vectors
     if unknown is None or not longest < UP:
         return None
     # Guess which contacts slip (S) and which rest (T), find the motions in which contacts of T roll exactly,
@@ -103,34 +105,33 @@ def enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray, np.ndarray
     if not (loose_floor > 0).any():
         return None
     holds_loose = LooseFloor(np.sqrt(loose_floor) / UP, loose_unit)
-    # Find the only minimum near, from the given spins, and if that fails from spins that Newton's method has improved;
-    # and if that fails as well, or some slips are tiny, among the motions in which contacts roll exactly.
-    found = Centre(network, exact, holds_loose, number, slipping, resting, network.spin, bounds.friction)
-    centre, distance, proven = _proven_near(found)
+    given = Centre(network, exact, holds_loose, number, slipping, resting, network.spin, bounds.friction)
+    centre, distance, proven = _proven_near(given)
     if not proven.any():
         return None
-    # slips of the improved spins are not quite the given ones
+    # `distance` is from the slips of `centre`, which may be improved spins: add how far these are from the given ones.
     moved = [a - b for a, b in zip(network.slips(network.spin), centre.slips, strict=True)]
     distances = np.zeros(len(slides))
     distances[slipping] = (distance + length(moved).most[slipping]) * UP
     return slides, distances, proven
 
 
-def _proven_near(found: Centre) -> tuple[Centre, np.ndarray, np.ndarray]:
-    """Return spins near which a minimum is proven, the bounds on how far its slips are, and the mask of the samples for
-    which they hold, as :meth:`Centre.proven_distance` gives them.
+def _proven_near(given: Centre) -> tuple[Centre, np.ndarray, np.ndarray]:
+    """Return spins near which a minimum is proven; for each of S slipping contacts a bound (S,) on |slip at the minimum
+    - slip at these spins|; and the mask (R,) of the samples for which this is proven.
 
-    found : the stored spins, of one sample or several; of several no other spins are tried.
+    given : the stored spins of R samples. For R = 1 spins improved by Newton's method are tried next. If these fail,
+        too, or some slips are tiny, spins improved among the motions in which contacts roll exactly are tried.
     """
-    if found.network.count > 1:
-        return found, *found.proven_distance()
-    reduced = CentreAmongMotions.of(found)
-    if reduced is None or not found.slowest < SLOW_SLIP * float(found.network.box.max()):
+    if given.network.count > 1:
+        return given, *given.proven_distance()
+    among_motions = CentreAmongMotions.of(given)
+    if among_motions is None or not given.slowest < SLOW_SLIP * float(given.network.box.max()):
         for improves in (False, True):
-            centre = found.improved() if improves else found
+            centre = given.improved() if improves else given
             distance, proven = centre.proven_distance()
-            if proven.any() or (improves and reduced is None):
+            if proven.any() or (improves and among_motions is None):
                 return centre, distance, proven
-    assert reduced is not None
-    centre = reduced.improved()
+    assert among_motions is not None
+    centre = among_motions.improved()
     return centre, *centre.proven_distance()

@@ -1,5 +1,5 @@
-"""The contacts of samples of a lattice, by slices: functions of all contacts read arrays over the spheres where they
-lie, and write no list of contacts. `Grid` answers the questions of `Listed` (listed.py) with less time and memory.
+"""The contacts of samples of a lattice. A function of all contacts reads slices of arrays over the spheres, so no list
+of contacts is made. `Grid` has the methods of `Listed` (listed.py) and takes less time and memory.
 
 Symbols: R samples with N spheres and E contacts each, n = R N and m = R E in all; *N the sides of the lattice; D = 2 or
 3 dimensions; C = 1 or 3 spin components. A *slot* is the place of a component, 0 to C - 1; *felt* are the components of
@@ -153,13 +153,13 @@ class Grid(Listed):
         found, acting = [np.zeros(shape) for _ in samples.components], acts.reshape(samples.count, -1)
         for axis, span in enumerate(samples.lattice.spans):
             friction = samples.friction[:, span]
+            # n x F for n along the axis: component a + 1 is -F_(a + 2), component a + 2 is F_(a + 1), counted round.
             if samples.lattice.dimension == 2:
-                turned = [(0, friction, samples.force_unit)]
+                products = [(0, friction, samples.force_unit)]
             else:
-                before, after = (axis + 1) % 3, (axis + 2) % 3
-                turned = [(before, friction[..., after], -samples.force_unit)]
-                turned += [(after, friction[..., before], samples.force_unit)]
-            for slot, values, unit in ((slot, values, unit) for slot, values, unit in turned if values.any()):
+                a, b = (axis + 1) % 3, (axis + 2) % 3
+                products = [(a, friction[..., b], -samples.force_unit), (b, friction[..., a], samples.force_unit)]
+            for slot, values, unit in ((slot, values, unit) for slot, values, unit in products if values.any()):
                 np.divide(values, unit, out=found[slot][:, span])
                 found[slot][:, span][~acting[:, span]] = 0.0
         return [Enclosure(part.reshape(-1) if part.any() else none, none, none) for part in found]  # takes no memory
@@ -179,9 +179,9 @@ class Grid(Listed):
         if not _may_differ_from_0(jump):
             return zeros(self.spheres)
         found = [np.zeros(self.spheres) if part.any() else part for part in jump.parts]
-        for whole, part, sign in zip(found, jump.parts, (1, 1, 0), strict=True):
+        for whole, part, has_sign in zip(found, jump.parts, (True, True, False), strict=True):  # errors have no sign
             if whole is not part:
-                signs = self.samples.sublattice[..., -1] if sign else 1.0
+                signs = self.samples.sublattice[..., -1] if has_sign else 1.0
                 self.on_spheres(whole)[..., -1] = signs * self.on_spheres(part)[..., -1]
         return Enclosure(*found)
 
@@ -199,8 +199,8 @@ class Grid(Listed):
 
     def reach(self, box: np.ndarray, sign: list[np.ndarray]) -> list[Enclosure]:
         """Return for each of C spin components a bound for each of n spheres, C enclosures (n,): at some minimum the
-        spin (times radius, measured from the bottom) of a sphere is between 0 and this bound. It is the spin of the top
-        at the same coordinate along the component, with the sign of the sphere's sublattice.
+        spin (times radius, measured from the bottom) of each sphere is between 0 and this bound. The bound is the spin
+        of the top at the same coordinate along the component, with the sign of the sphere's sublattice.
 
         box : not used here.
         sign : these signs by component, C arrays (n,)."""
@@ -224,11 +224,11 @@ class Grid(Listed):
         return bool(free.any() and (acts == self.any_end(free)).all())
 
     def slip_speeds(self, spin: list[Enclosure], in_motion: Callable[[], Enclosure]) -> Enclosure:
-        """Return the slip speeds (m,) of all contacts for the imposed spin of the top, which differs a little from the
-        stored one; contacts without slip in the stored spins keep the slip 0.
+        """Return the slip speeds (m,) of all contacts, as `in_motion` computes them: for the imposed spin of the top,
+        which differs a little from the stored one; contacts without slip in the stored spins keep the slip 0.
 
-        spin : not used here.
-        in_motion : function that computes these slip speeds."""
+        spin : not used here; contacts in lists need it.
+        in_motion : function that returns these slip speeds."""
         return in_motion()
 
     def power_lost(self, torque: Enclosure, reach: Enclosure, mask: np.ndarray) -> Enclosure:
@@ -330,11 +330,12 @@ class Grid(Listed):
 
         spin : signed spins of n spheres by component, C enclosures (n,)."""
         found = np.ones(self.contacts, dtype=bool)
-        into = self.by_axis(found)
-        parts = [[self.on_spheres(of) for of in part.parts[:2] if of.any()] for part in spin]
+        by_axis = self.by_axis(found)
+        # The two doubles, high and low, of each component, where they are not all 0.
+        doubles = [[self.on_spheres(values) for values in part.parts[:2] if values.any()] for part in spin]
         for axis, own, first, second in self.pieces:
-            for of in (of for slot in self.felt(axis) for of in parts[slot]):
-                into[axis][own] &= of[first] == of[second]
+            for values in (values for slot in self.felt(axis) for values in doubles[slot]):
+                by_axis[axis][own] &= values[first] == values[second]
         return found
 
     def slips(self, spin: list[Enclosure], shift: list[Enclosure | None], still: np.ndarray) -> Enclosure:
@@ -346,25 +347,25 @@ class Grid(Listed):
             the spins; None for nothing.
         still : (m,) mask of contacts that do not slip at all, to which no shift is added."""
         found = nothing(self.contacts)
-        into, at_rest = [self.by_axis(part) for part in found.parts], self.by_axis(still)
-        added = {slot: self.of_spheres(part) for slot, part in enumerate(shift) if part is not None}
-        turning = {
-            slot: self.of_spheres(part) for slot, part in enumerate(spin) if slot in added or _may_differ_from_0(part)
+        by_axis, at_rest = [self.by_axis(part) for part in found.parts], self.by_axis(still)
+        shifts = {slot: self.of_spheres(part) for slot, part in enumerate(shift) if part is not None}
+        spins = {
+            slot: self.of_spheres(part) for slot, part in enumerate(spin) if slot in shifts or _may_differ_from_0(part)
         }
         # For each group of contacts: difference of signed spins by component; the shift is added only where it differs.
         for axis, own, first, second in self.pieces:
-            parts = []
-            for slot in (slot for slot in self.felt(axis) if slot in turning):
-                part = turning[slot][second] - turning[slot][first]
-                if slot in added:
-                    more = added[slot]
+            differences = []
+            for slot in (slot for slot in self.felt(axis) if slot in spins):
+                difference = spins[slot][second] - spins[slot][first]
+                if slot in shifts:
+                    more = shifts[slot]
                     places = np.nonzero((more.high[first] != more.high[second]) & ~at_rest[axis][own])
-                    moved = part[places] + (more[second][places] - more[first][places])
-                    for of, values in zip(part.parts, moved.parts, strict=True):
-                        of[places] = values
-                parts.append(part)
-            if parts:
-                for whole, values in zip(into, size_of(parts).parts, strict=True):
+                    shifted = difference[places] + (more[second][places] - more[first][places])
+                    for part, values in zip(difference.parts, shifted.parts, strict=True):
+                        part[places] = values
+                differences.append(difference)
+            if differences:
+                for whole, values in zip(by_axis, size_of(differences).parts, strict=True):
                     whole[axis][own] = values
         return found
 
@@ -380,14 +381,15 @@ class Grid(Listed):
 
         parts : their C components, enclosures (m,); the one along the normal is not read."""
         found = nothing(self.contacts)
-        into = [self.by_axis(part) for part in found.parts]
-        there = {
+        lengths = [self.by_axis(part) for part in found.parts]
+        components = {
             slot: [self.by_axis(of) for of in part.parts] for slot, part in enumerate(parts) if _may_differ_from_0(part)
         }
         for axis in range(self.samples.lattice.dimension):
-            felt = [Enclosure(*(of[axis] for of in there[slot])) for slot in self.felt(axis) if slot in there]
-            if felt:
-                for whole, values in zip(into, size_of(felt).parts, strict=True):
+            slots = [slot for slot in self.felt(axis) if slot in components]
+            vectors = [Enclosure(*(part[axis] for part in components[slot])) for slot in slots]
+            if vectors:
+                for whole, values in zip(lengths, size_of(vectors).parts, strict=True):
                     whole[axis][...] = values
         return found
 
@@ -402,13 +404,13 @@ class Grid(Listed):
             found.append(nothing(self.spheres) if part.high.any() else zeros(self.spheres))
             if not part.high.any():
                 continue
-            total, pulls = self.of_spheres(found[-1]), self.by_axis(part.high)
+            total, moments = self.of_spheres(found[-1]), self.by_axis(part.high)
             for axis in (a for a in range(self.samples.lattice.dimension) if slot in self.felt(a)):
-                for end in (2, 3):
+                for end in (2, 3):  # of a piece (axis, own, first, second): the first, then the second spheres
                     for piece in (piece for piece in self.pieces if piece[0] == axis):
-                        at = piece[end]
-                        for whole, values in zip(total.parts, total[at].plus(pulls[axis][piece[1]]).parts, strict=True):
-                            whole[at] = values
+                        spheres, more = piece[end], moments[axis][piece[1]]
+                        for whole, values in zip(total.parts, total[spheres].plus(more).parts, strict=True):
+                            whole[spheres] = values
         return found
 
 
@@ -431,16 +433,17 @@ def zeros(count: int) -> Enclosure:
 
 
 def size_of(parts: list[Enclosure]) -> Enclosure:
-    """Return the length of vectors, an enclosure: the absolute value if they have one component.
+    """Return the length of vectors, an enclosure of the shape of their components; the absolute value if they have one
+    component.
 
-    parts : their one or two components, enclosures of one shape, which may be any."""
+    parts : their one or two components, enclosures of any one shape."""
     return abs(parts[0]) if len(parts) == 1 else _length_of_two(*parts)
 
 
 @in_cache
 def _largest_work_between(torque: Enclosure, reach: Enclosure, mask: np.ndarray) -> Enclosure:
-    """Return |torque| |reach| for each of n spheres, an enclosure (n,), but 0 where both surely have the same sign. It
-    is the most power that a torque can take at a spin between 0 and `reach`.
+    """Return for each of n spheres the most power that a torque can take at a spin between 0 and `reach`, an enclosure
+    (n,): |torque| |reach|, but 0 where both surely have the same sign.
 
     torque : (n,), torque over radius along one spin component.
     reach : (n,), spin times radius.
