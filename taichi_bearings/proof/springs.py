@@ -16,17 +16,18 @@ What is done
    Then each contact has q |y*|^2 <= phi(y*) / Phi: for friction as w |y*| <= Phi and w_min <= w, for damping as phi(y*)
    >= eta |y*|^2 / 2. As the potentials phi(y*) add up to at most Phi, the norm of q^1/2 y* is at most 1, and
        |D^-1 u*| <= (1 + |q^1/2 b|) / sigma,    sigma^2 <= least eigenvalue of D K^T q K D.
-   An elimination proves sigma^2. As all minima have the same potential, this holds at each of them, once spheres that
-   can turn freely (below) are turned so that the component held at 0 is 0, which changes no slip and no work of r.
+   An elimination proves sigma^2. All minima have the same potential, so this holds at each of them, if those spheres
+   that can turn freely (below) are turned first until the component held at 0 is 0. That changes no slip and no work of
+   r.
 3. Where frictions differ by many decades, so do these q, and rounding may hide sigma. Then it is tried with q = 1:
    |y*| is at most Phi / w and at most (2 Phi / eta)^1/2 at each contact, so its norm is known as well.
 
 Motions without any slip would make sigma 0. Two kinds are removed first:
 * Spheres whose contacts all have one direction can turn about it without slip. The largest component of this direction
   is held at 0.
-* Spheres on which all contacts bear (nearly) nothing, and whose spins can make any slips of these contacts whatever:
-  their rows of K are independent, by a floor of K K^T. Their contacts roll at every minimum whatever the other spheres
-  do, so these spheres are left out (`rolling`).
+* Spheres whose contacts bear (nearly) no friction, and whose spins can give any slips to these contacts: the rows of K
+  of these contacts are independent, by a floor of K K^T. These contacts roll at every minimum whatever the other
+  spheres do, so the spheres are left out (`rolling`).
 If other motions slip by no more than rounding, no floor is found. Then the bound holds only for spins up to a multiple
 of the fastest imposed one.
 """
@@ -47,11 +48,12 @@ from taichi_bearings.proof.judged_network import JudgedNetwork
 from taichi_bearings.proof.listed import moments
 from taichi_bearings.proof.rounded_elimination import EPS, REGION_UNKNOWNS, Elimination, Samples
 
-# How the springs are solved for; the torques that are left over are computed anew, so nothing depends on it.
-ROUNDS, MOST_SOLVES = 2, 30  # number of solves, and the most where contrasts make each solve inexact
+# How the forces of springs are solved for; leftover torques are computed anew, so no proof depends on these numbers.
+ROUNDS, MOST_SOLVES = 2, 30  # number of solves, and the most where stiffnesses differ so much that solves are inexact
 SHIFT = -1e-13  # minus what is added to the diagonal, so that pivots stay positive
 LEAST_POWER = 1e-3  # share of the natural potential; springs are made for no smaller one
-# Force over mu F_n, or over the largest force, below which a contact is tried as one that rolls; a wrong choice fails.
+# Force over mu F_n, or over the largest force, below which a contact is tried as one that rolls. A wrong choice only
+# makes the proof fail.
 UNSTRESSED = 1e-6
 
 
@@ -62,8 +64,8 @@ def natural(network: JudgedNetwork) -> np.ndarray:
 
     network : the R samples."""
     fastest = network.graph.natural_speed(network.box, network.speed_unit)
-    own = np.flatnonzero(network.acts)
-    holding, slope = (network.by_sample(values.at(own), own).value for values in (network.holding, network.slope))
+    acts = np.flatnonzero(network.acts)
+    holding, slope = (network.by_sample(values.at(acts), acts).value for values in (network.holding, network.slope))
     return np.asarray(holding * fastest + slope * fastest**2 / 2)
 
 
@@ -93,15 +95,17 @@ class Springs:
         upper : (R,), for each of R samples a number above 0 that the potential of minima does not exceed, in units of
             the network. Springs are made for no less than LEAST_POWER of the natural potential."""
         holding, slope = (np.where(network.counts, v.value, 0.0) for v in (network.holding, network.slope))
-        least = np.where(holding > 0, holding, np.inf).reshape(network.count, -1).min(axis=1, initial=np.inf)
-        least, above = network.on_contacts(least), network.on_contacts(upper)
+        least_holding = np.where(holding > 0, holding, np.inf).reshape(network.count, -1).min(axis=1, initial=np.inf)
+        least_holding, potential = network.on_contacts(least_holding), network.on_contacts(upper)
         most = network.on_contacts(np.maximum(upper, LEAST_POWER * natural(network)))
+        # q = w w_min / Phi^2 or eta / (2 Phi); slips of minima are at most Phi / w and (2 Phi / eta)^1/2.
         with np.errstate(all="ignore"):
-            weight = np.maximum(np.where(least < np.inf, holding * (least / most) / most, 0.0), slope / most / 2)
-            fastest = np.where(network.counts, np.minimum(above / holding, np.sqrt(2 * above / slope)), 0.0)
+            of_friction = np.where(least_holding < np.inf, holding * (least_holding / most) / most, 0.0)
+            weight = np.maximum(of_friction, slope / most / 2)
+            fastest = np.where(network.counts, np.minimum(potential / holding, np.sqrt(2 * potential / slope)), 0.0)
         number = np.full((len(network.free), 3), -1)
-        there = network.reached[:, None] & ~turning_freely(network)
-        number[there] = np.arange(there.sum())
+        is_unknown = network.reached[:, None] & ~turning_freely(network)
+        number[is_unknown] = np.arange(is_unknown.sum())
         form = weighed(network, slip_rows(network, number), np.sqrt(np.tile(weight, 3)), number)
         return None if form is None else cls(network, weight, fastest, number, form)
 
@@ -114,21 +118,22 @@ class Springs:
             is asked after ROUNDS solves, and again after each further one, as long as these at least halve the torques.
         """
         network, factor = self.network, self.form.elimination.factorised_samples(SHIFT)
-        torques, there, fine = network.own_torques, self.number >= 0, network.own_friction
+        torques, is_unknown, friction = network.own_torques, self.number >= 0, network.own_friction
         ended, before, samples = factor.failed.copy(), np.full(network.count, np.inf), self.form.elimination.samples
-        taken, root = np.zeros_like(network.graph.friction), np.sqrt(np.tile(self.weight, 3))
+        spring_force, root = np.zeros_like(network.graph.friction), np.sqrt(np.tile(self.weight, 3))
         for number in range(MOST_SOLVES):
-            left = np.stack([part.value for part in torques], axis=1)[there]
+            left = np.stack([part.value for part in torques], axis=1)[is_unknown]
             size = samples.norms(left)
             if number >= ROUNDS:
                 ended |= ~goes_on(torques) | (size > before / 2)
             if ended.all():
                 break
+            # Forces q K z, where z solves K^T q K z = (the torques that are left over).
             left, before = np.where(ended[samples.of], 0.0, left), size
-            taken += (root * (self.form.rows @ factor.solve(left * self.form.scale))).reshape(3, -1).T
-            fine = [Enclosure.exact(f.high, -x) for f, x in zip(network.own_friction, taken.T, strict=True)]
-            torques = network.torques(moments(fine, network.graph.normal))
-        return fine, torques
+            spring_force += (root * (self.form.rows @ factor.solve(left * self.form.scale))).reshape(3, -1).T
+            friction = [Enclosure.exact(f.high, -x) for f, x in zip(network.own_friction, spring_force.T, strict=True)]
+            torques = network.torques(moments(friction, network.graph.normal))
+        return friction, torques
 
     @property
     def reach(self) -> np.ndarray:
@@ -139,13 +144,13 @@ class Springs:
     @property
     def even_reach(self) -> np.ndarray:
         """Upper bound (R,), for each of R samples, on the size of every component of free spins (times radius) at some
-        minimum, as :attr:`reach` is, but proven by springs that are all equally stiff. It may be finite where the
-        springs of :attr:`reach` differ in stiffness by so many decades that rounding hides how firmly they resist."""
-        even, by_sample = self.network.counts.astype(float), self.fastest.reshape(self.network.count, -1)
-        form = weighed(self.network, slip_rows(self.network, self.number), np.tile(even, 3), self.number)
+        minimum, proven by springs that are all equally stiff. It may be finite where :attr:`reach` is not: where
+        stiffnesses differ by so many decades that rounding hides the least eigenvalue."""
+        equal, by_sample = self.network.counts.astype(float), self.fastest.reshape(self.network.count, -1)
+        form = weighed(self.network, slip_rows(self.network, self.number), np.tile(equal, 3), self.number)
         assert form is not None  # it is None only if a column is 0, and then `self.form` would not have been made
         with np.errstate(all="ignore"):
-            return self._reach(form, even, np.sqrt((by_sample**2).sum(axis=1)))
+            return self._reach(form, equal, np.sqrt((by_sample**2).sum(axis=1)))
 
     def _reach(self, form: Form, weight: np.ndarray, most: np.ndarray) -> np.ndarray:
         """Return an upper bound (R,), for each of R samples, on the size of every component of free spins (times
@@ -158,6 +163,7 @@ class Springs:
         squares = sum((weight * part.most**2).reshape(self.network.count, -1).sum(axis=1) for part in slips)
         with np.errstate(all="ignore"):
             floor = form.floor()
+            # |D^-1 u*| <= (|q^1/2 y*| + |q^1/2 b|) / sigma, step 2 at the head of this file
             found = largest(form.scale) * (most + np.sqrt(squares)) / np.sqrt(floor) * UP**2
         return np.where((floor > 0) & (found >= 0), found, np.inf)
 
@@ -180,8 +186,8 @@ def weighed(
     by_weight = sparse.diags_array(weight)
     rows = sparse.csr_array(by_weight @ rows)
     rows.eliminate_zeros()
-    # Entries are rounded by the weight, its root and the products: some five times, or ten where they are sums of two
-    # products with rounded factors, with 16 allowed for. A sum is rounded by a share of the sizes of its terms.
+    # An entry has some five roundings (weight, its root, products), or ten where it is a sum of two products with
+    # rounded factors; 16 are allowed for. The rounding of a sum is a share of the sizes of its terms.
     doubt = abs(rows) if sizes is None else sparse.csr_array(by_weight @ sizes)
     doubt = sparse.csr_array((16 * EPS * doubt.data, doubt.indices, doubt.indptr), shape=rows.shape)
     sphere = np.nonzero(number >= 0)[0]
@@ -191,31 +197,30 @@ def weighed(
 
 def rolling(network: JudgedNetwork) -> np.ndarray:
     """Return the mask (N,) of free spheres that are proven to have spins at which all their contacts roll, whatever the
-    spins of the other spheres. Only spheres are tried whose contacts bear nearly no friction.
+    spins of the other spheres. Only spheres are tried whose contacts all bear nearly no friction.
 
     network : a packing with N spheres, and the friction of its contacts.
     """
     size = np.sqrt((network.graph.friction**2).sum(axis=1))
     largest = network.on_contacts(size.reshape(network.count, -1).max(axis=1, initial=0.0))
     small = UNSTRESSED * np.where(network.holding.high > 0, network.holding.high, largest)
-    # Candidates are spheres all of whose contacts bear (nearly) nothing.
     ends = network.graph.contact[:, network.counts & (size > small)]
-    some = network.reached.copy()
-    some[ends.ravel()] = False
+    candidates = network.reached.copy()
+    candidates[ends.ravel()] = False
     first, second = network.graph.contact[:, network.counts]
-    inner = some[first] & some[second]
-    label = pieces(len(some), first[inner], second[inner])
-    independent = _independent(network, some)
+    inner = candidates[first] & candidates[second]
+    label = pieces(len(candidates), first[inner], second[inner])
+    independent = _independent(network, candidates)
     if independent.all():
-        found: np.ndarray = some
+        found: np.ndarray = candidates
         return found
-    open_ = some & ~np.repeat(independent, len(some) // network.count)
-    # Keep the candidates, piece by piece as contacts join them, for which independence is proven.
-    for part in np.unique(label[open_]):
-        own = some & (label == part)
-        if not _independent(network, own).all():
-            some &= ~own
-    found = some
+    unproven = candidates & ~np.repeat(independent, len(candidates) // network.count)
+    # In the other samples keep those pieces, candidates that contacts connect, for which independence is proven.
+    for piece in np.unique(label[unproven]):
+        members = candidates & (label == piece)
+        if not _independent(network, members).all():
+            candidates &= ~members
+    found = candidates
     return found
 
 
@@ -231,7 +236,7 @@ def _independent(network: JudgedNetwork, spheres: np.ndarray) -> np.ndarray:
     slips = _Slips.of(network, number, own)
     if isinstance(slips, np.ndarray):
         return slips > 0
-    # K K^T has a floor above 0, with K the matrix of these slips: one for all contacts, without units, is quicker
+    # Is a floor of K K^T above 0, with K the matrix of these slips? A floor without units is found more quickly.
     with np.errstate(all="ignore"):
         return proven_floor(slips.columns, rounding_of(slips.columns), slips.elimination) > 0
 
@@ -242,8 +247,9 @@ def floor_by_contact(network: JudgedNetwork, number: np.ndarray, contacts: np.nd
     1. tau : (R,), for each of R samples a number above 0 if it is proven, infinite without any of the contacts;
     2. unit : (E,), a number for each contact, 1 for others.
 
-    Then slips y of the contacts need spins of a size no larger than the root of (sum of (unit |y|)^2) / tau. Friction
-    on a contact, if all of it exerts torques of the norm |r|, is no larger than unit |r| over the root of tau.
+    Then slips y of the contacts need spins of a size no larger than the root of (sum of (unit |y|)^2) / tau. If
+    friction on the contacts exerts torques of the norm |r|, its size at a contact is at most unit |r| over the root of
+    tau.
 
     network : R samples of a packing, with N spheres and E contacts in all.
     number : (N, 3), the index of each spin component among the unknowns; -1 for those that are none.
@@ -267,12 +273,11 @@ def floor_by_contact(network: JudgedNetwork, number: np.ndarray, contacts: np.nd
 
 @dataclass(frozen=True)
 class _Slips:
-    """Two components of the slips of some contacts, q numbers in all, and how K K^T of these is eliminated.
+    """Two components of the slip of each of some contacts, q numbers in all, with the matrix K that gives them from n
+    unknown spin components, and an order of elimination of K K^T. Each slip is at right angles to its normal, so two
+    components fix it; the one along which the normal is largest is left out.
 
-    Each slip is across its normal, so two of its components fix it; the one along which the normal is largest is left
-    out.
-
-    columns : K^T, (n unknown spin components, q).
+    columns : K^T, (n, q).
     elimination : of K K^T.
     contact : (q,), the contact of each number.
     """
@@ -283,9 +288,8 @@ class _Slips:
 
     @classmethod
     def of(cls, network: JudgedNetwork, number: np.ndarray, contacts: np.ndarray) -> _Slips | np.ndarray:
-        """Order the elimination and return the object; or return floors (R,) of the eigenvalues where they are known
-        without an elimination: infinity for samples without any of these contacts, 0 if every sample has more slips
-        than unknowns.
+        """Return the slips with an order of elimination; or floors (R,) of the eigenvalues of K K^T that are known
+        without elimination: infinity if there is no such contact, 0 if every sample has more slips than unknowns.
 
         network : R samples of a packing, with N spheres and E contacts in all.
         number : (N, 3), the index of each spin component among the unknowns; -1 for those that are none.
@@ -361,18 +365,18 @@ def numbered(mask: np.ndarray) -> np.ndarray:
 
 
 def turning_freely(network: JudgedNetwork) -> np.ndarray:
-    """Return a mask (N, 3) of spin components that shall be held at 0, since some spheres can turn without any slip. A
-    sphere can do so whose contacts all have one direction, bit by bit or with the opposite sign: it can turn about this
-    direction, and the component along which that is largest is marked. Nothing is marked for other spheres.
+    """Return a mask (N, 3) of spin components that shall be held at 0, since their spheres can turn without any slip: a
+    sphere whose contacts all have the same normal or its opposite, bit by bit, can turn about this direction. One
+    component of it is marked, along which the direction is largest.
 
     network : a packing with N spheres, with the normals of its contacts."""
     normal = network.graph.normal[network.counts]
     large = np.argmax(np.abs(normal), axis=1)
-    turned = normal * np.sign(normal[np.arange(len(normal)), large])[:, None]
+    direction = normal * np.sign(normal[np.arange(len(normal)), large])[:, None]  # the same for opposite normals
     low, high = np.full((len(network.free), 3), np.inf), np.full((len(network.free), 3), -np.inf)
     for end in network.graph.contact[:, network.counts]:
-        np.minimum.at(low, end, turned)
-        np.maximum.at(high, end, turned)
+        np.minimum.at(low, end, direction)
+        np.maximum.at(high, end, direction)
     found = np.zeros(low.shape, dtype=bool)
     alike = np.flatnonzero((low == high).all(axis=1))
     found[alike, np.argmax(np.abs(low[alike]), axis=1)] = True
