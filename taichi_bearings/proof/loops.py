@@ -2,17 +2,16 @@
 
 What is proven. Loops of contacts that would roll with ideal normals cannot roll with rounded ones: at the minimum some
 of their contacts slip by 1e-16, and rounding decides which. No proof about slips can help there, but friction is in
-balance there as elsewhere. This file bounds the optimal friction of each contact near such loops. A contact whose
-friction is proven to be below mu F_n rests at every minimum (theorem 4).
+balance. This file bounds the optimal friction of each contact near such loops. A contact whose friction is proven to be
+below mu F_n rests at every minimum (theorem 4).
 
 Symbols
     N : number of spheres. E : of contacts. n : of unknowns, the components of the spins of free spheres.
     F : friction at hand. F* : optimal friction. f = F* - F. K : matrix of slips, so K^T F are the torques of F.
     X : the contacts that can roll exactly (exact_motions.py).
-    Q : contacts that can dissipate, touch a free sphere outside X, and whose friction is not known at every minimum
-        (that of contacts that slip or have damping alone is); here they are the contacts of interest, divided into
-        pieces that share no such sphere.
-    q : number of contacts of a piece. Their friction has two components each, along two tangents.
+    Q : the contacts that this file is about. They can dissipate, touch a free sphere that no contact of X touches, and
+        their friction at minima is not known (that of contacts that slip or have damping alone is known).
+    q : number of contacts of a piece of Q; pieces share no such sphere. Friction has two components, along tangents.
     M : (2 q, n), rows of K for the contacts of a piece and the unknowns of its spheres, along the tangents.
     L : (2 q, m), friction along *loops*, one in each column: L exerts no torque, M^T L = 0 but for rounding. A *group*
         of contacts that this friction connects may have several loops.
@@ -24,12 +23,12 @@ The proof
    It is of the size of rounding if no singular value of M lies between 0 and NEARLY_SINGULAR, and in any case it is
    bounded. Then, as an identity,
        f = L c + Y^T (M^T f) + D^T f.
-2. Both F* and F leave over no torque, or a known one: K^T f = -K^T F on every free sphere. So M^T f is minus the sum of
-   what the other contacts of these spheres change and what F leaves over. For contacts whose friction is known f is
-   small; for all others both F and F* are inside a disc. That bounds all of f but L c.
+2. On every free sphere F* leaves over no torque, so K^T f = -K^T F. Hence M^T f is minus the torques of f on the other
+   contacts of these spheres and those that F leaves over. If the friction of a contact is known its f is small; of all
+   others both F and F* are inside a disc. That bounds all of f but L c.
 3. |F + f| <= mu F_n + eta |y| for every contact. So each contact of a loop confines its c to an interval, the solution
-   of a quadratic inequality, and all contacts of the loop together to the common part of these intervals. Where a
-   contact belongs to several loops, |c| is only bounded by the sum over the contacts of |L| (largest |F*| + |F|).
+   of a quadratic inequality, and all contacts of the loop to the common part of these intervals. If a contact belongs
+   to several loops, |c| is only bounded by the sum over the contacts of |L| (largest |F*| + |F|).
 4. Then |F*| is at most |F + L c| at the middle of the intervals, plus |L| times their half lengths, plus the bound of
    step 2.
 
@@ -119,8 +118,8 @@ class FrictionBounds:
 
     @cached_property
     def other_spheres(self) -> np.ndarray:
-        """(N,) mask of the free spheres that are connected to driven ones and that are touched by no exactly rolling
-        contact."""
+        """(N,) mask of the free spheres that contacts connect to driven ones and that no exactly rolling contact
+        touches."""
         return np.asarray(self.network.reached & ~self.exact.spheres)
 
     @cached_property
@@ -133,12 +132,11 @@ class FrictionBounds:
 
     @cached_property
     def left_over(self) -> np.ndarray:
-        """(N,), for each of N spheres a bound on any component of the torque over radius, a force, that is left out if
-        the stored friction is taken to be in balance.
+        """(N,), for each of N spheres a bound on the error of any component of the torque over radius, a force, if the
+        given friction is taken to be in balance.
 
-        It is the sum of two bounds: on the torque that this friction leaves over; and on what rounding adds where the
-        matrix `rows` multiplies changes of friction up to `most_change`. An entry of `rows` has fewer than 64
-        roundings."""
+        It is the sum of two bounds: on the torque that this friction leaves over; and on the rounding of torques of
+        changes of friction up to `most_change` by the matrix `rows`. An entry of `rows` has fewer than 64 roundings."""
         torques = self.network.torques(moments(self.given, self.network.graph.normal))
         return np.asarray(
             (np.max([part.most for part in torques], axis=0) + 64 * EPS * self.sum_at_spheres(self.most_change)) * UP
@@ -157,12 +155,12 @@ class FrictionBounds:
         first, second = self.network.graph.contact
         joins = self.near_loops & self.other_spheres[first] & self.other_spheres[second]
         label = pieces(len(self.other_spheres), first[joins], second[joins])
-        part = label[np.where(self.other_spheres[first], first, second)]
-        column, found = np.where(self.other_spheres[self.sphere], label[self.sphere], -1), []
-        for own in np.unique(part[self.near_loops]):
-            unknowns = np.flatnonzero(column == own)
+        of_contact = label[np.where(self.other_spheres[first], first, second)]
+        of_unknown, found = np.where(self.other_spheres[self.sphere], label[self.sphere], -1), []
+        for piece in np.unique(of_contact[self.near_loops]):
+            unknowns = np.flatnonzero(of_unknown == piece)
             if len(unknowns) <= MOST_SPLIT:
-                found.append(Piece.of(self, np.flatnonzero(self.near_loops & (part == own)), unknowns))
+                found.append(Piece.of(self, np.flatnonzero(self.near_loops & (of_contact == piece)), unknowns))
         return found
 
 
@@ -170,17 +168,16 @@ class FrictionBounds:
 class Piece:
     """Bounds on the friction of q connected contacts at any minimum.
 
-    Let f be the change of their friction, from the stored one to that at a minimum. It is L c plus a rest, where c is
-    the friction that circulates along each of m loops. Friction has two tangential components for each contact.
+    Let f be the change of their friction, from the given one to that at a minimum: two tangential components for each
+    contact. It is L c plus a rest, where c is the friction that circulates along each of m loops.
 
     contacts : (q,), indices of these contacts.
     others : (k,), indices of the other contacts of their spheres.
     loops : L, (2 q, m), friction on the contacts if 1 circulates along a loop.
     middle, half_length : (m,), of the interval in which the c of each loop lies.
-    by_others : (2 q, 2 k), the matrix that maps changes of friction on the other contacts to the change that they cause
-        in f.
+    by_others : (2 q, 2 k), the matrix that gives f - L c from the changes of friction on the other contacts.
     most_off_loops : (q,), bound on the size of f - L c at each contact.
-    by_rounding : (q,), the share of `most_off_loops` that is due to rounding and leftover torques, not to the others.
+    by_rounding : (q,), the part of `most_off_loops` that is due to rounding and leftover torques, not to the others.
     largest : (q,), bound on the size of the friction at a minimum.
     """
 
@@ -198,7 +195,7 @@ class Piece:
     def of(cls, bounds: FrictionBounds, contacts: np.ndarray, unknowns: np.ndarray) -> Piece:
         """Return bounds on the friction of q connected contacts at every minimum.
 
-        Let f be the change of their friction, from the stored one to that at a minimum. It is split into friction L c
+        Let f be the change of their friction, from the given one to that at a minimum. It is split into friction L c
         along m loops, which exerts no torque, and a rest, which follows from the torques of f. These torques cancel
         those of the changes at the other contacts of the spheres, so they have bounds. The friction limits then confine
         the number c of each loop to an interval.
@@ -247,16 +244,17 @@ def weighted_lengths(vectors: np.ndarray, weight: np.ndarray | float = 1.0, numb
     """Return for each of q contacts the sum (q,), over m columns, of the length of its vector in a column times the
     weight of the column.
 
-    vectors : (p q, m), in each column p = `numbers` successive entries are the vector of one contact.
-    weight : (m,), or one number for all columns."""
+    vectors : (p q, m), in each column p successive entries are the vector of one contact.
+    weight : (m,), or one number for all columns.
+    numbers : p."""
     lengths = np.linalg.norm(vectors.reshape(len(vectors) // numbers, numbers, vectors.shape[1]), axis=1)
     return np.asarray((lengths * weight).sum(axis=1))
 
 
 def block_norms(matrix: np.ndarray, numbers: int = 2) -> np.ndarray:
-    """Return the Frobenius norm of each block (p, 2) of a matrix (p q, 2 k): an array (q, k). Say the matrix gives the
-    force on q contacts from forces on k others. Then a norm bounds how much a unit on one of the others changes the
-    force on one of the q.
+    """Return the Frobenius norm of each block (p, 2) of a matrix (p q, 2 k): an array (q, k). If the matrix gives the
+    forces on q contacts from those on k others, a norm bounds the force on one of the q by a unit force on one of the
+    others.
 
     numbers : p, the number of rows of the matrix for a contact.
     """
@@ -275,10 +273,8 @@ def _splitting_error(rows: np.ndarray, loops: np.ndarray, inverse: np.ndarray) -
     loops : L, (2 q, m), friction along m loops.
     inverse : Y, (n, 2 q), nearly the pseudo-inverse of M."""
     found, terms = np.abs(np.eye(len(rows)) - loops @ loops.T - rows @ inverse), sum(rows.shape) + 64
-    of_along = np.abs(loops)
-    result: np.ndarray = found + terms * EPS * (
-        np.eye(len(rows)) + of_along @ of_along.T + np.abs(rows) @ np.abs(inverse)
-    )
+    sizes = np.abs(loops)
+    result: np.ndarray = found + terms * EPS * (np.eye(len(rows)) + sizes @ sizes.T + np.abs(rows) @ np.abs(inverse))
     return result
 
 
@@ -290,24 +286,23 @@ def _loops_and_inverse(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     u, size, v = np.linalg.svd(rows, full_matrices=True)
     rank = int((size > NEARLY_SINGULAR * size.max(initial=0.0)).sum())
     inverse = (v[:rank].T / size[:rank]) @ u[:, :rank].T
-    # Friction without torque: the projection on it. Contacts that it connects form a group. Its eigenvectors within
-    # each group with eigenvalues 1, rather than 0, are the columns of L.
-    balanced = u[:, rank:] @ u[:, rank:].T
-    share = block_norms(balanced)
+    # The projection on all friction without torque. Contacts that it connects form a group. In each group the columns
+    # of L are its eigenvectors with the eigenvalue 1; the others have 0.
+    projection = u[:, rank:] @ u[:, rank:].T
+    share = block_norms(projection)
     first, second = np.nonzero(share > IN_A_LOOP)
-    group, found = pieces(len(share), first, second), [np.zeros((len(rows), 0))]
-    for own in np.unique(group[share.diagonal() > IN_A_LOOP]):
-        at = tangent_rows(np.flatnonzero(group == own))
-        value, vector = np.linalg.eigh(balanced[np.ix_(at, at)])
-        found.append(np.zeros((len(rows), int((value > 0.5).sum()))))
-        found[-1][at] = vector[:, value > 0.5]
-    return np.concatenate(found, axis=1), inverse
+    label, loops = pieces(len(share), first, second), [np.zeros((len(rows), 0))]
+    for group in np.unique(label[share.diagonal() > IN_A_LOOP]):
+        at = tangent_rows(np.flatnonzero(label == group))
+        value, vector = np.linalg.eigh(projection[np.ix_(at, at)])
+        loops.append(np.zeros((len(rows), int((value > 0.5).sum()))))
+        loops[-1][at] = vector[:, value > 0.5]
+    return np.concatenate(loops, axis=1), inverse
 
 
 def _loop_intervals(loops: np.ndarray, force: np.ndarray, limit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Enclose the unknown friction that circulates along each of m loops. At any minimum of the power the friction is F
-    + L c, with a number c, a force, for each loop. Return (middle, half_length), (m,) each, such that |c - middle| <=
-    half_length.
+    """Return intervals, as (middle, half_length), (m,) each, of the friction c that circulates along each of m loops:
+    |c - middle| <= half_length at any minimum of the power, where the friction is F + L c.
 
     The interval is close to the possible values of c for a loop that shares no contact with another loop; else it is
     crude.
@@ -321,16 +316,17 @@ def _loop_intervals(loops: np.ndarray, force: np.ndarray, limit: np.ndarray) -> 
     # each contact: |c| is at most the sum of |L| (limit + |F|) over the contacts.
     most_c = (size * (limit + np.linalg.norm(force, axis=1))[:, None]).sum(axis=0) * UP
     middle, half_length, in_loop = np.zeros(len(most_c)), most_c.copy(), (size > IN_A_LOOP).astype(float)
-    for c in np.flatnonzero(((in_loop.T @ in_loop) > 0).sum(axis=0) == 1):
-        own = np.flatnonzero(in_loop[:, c])
-        # For each contact of a loop that shares none with another loop solve |F + L c| = size_limit, a quadratic
-        # equation c^2 + 2 linear c + constant = 0. What tiny entries of L for other loops may add is in `size_limit`;
-        # 1e-12 covers the rounding of the difference under the root.
-        square, size_limit = size[own, c] ** 2, limit[own] + (size[own] @ most_c - size[own, c] * most_c[c])
-        linear = (loops[:, c].reshape(-1, 2)[own] * force[own]).sum(axis=1) / square
-        constant = ((force[own] ** 2).sum(axis=1) - size_limit**2) / square
+    shares_none = ((in_loop.T @ in_loop) > 0).sum(axis=0) == 1
+    for loop in np.flatnonzero(shares_none):
+        # For each contact of the loop solve |F + L c| = most, a quadratic equation c^2 + 2 linear c + constant = 0.
+        # Tiny entries of L for other loops are covered by `most`, the rounding under the root by 1e-12.
+        at = np.flatnonzero(in_loop[:, loop])
+        square, most = size[at, loop] ** 2, limit[at] + (size[at] @ most_c - size[at, loop] * most_c[loop])
+        linear = (loops[:, loop].reshape(-1, 2)[at] * force[at]).sum(axis=1) / square
+        constant = ((force[at] ** 2).sum(axis=1) - most**2) / square
         root = np.sqrt(np.maximum(linear**2 - constant, 0.0) + 1e-12 * (linear**2 + np.abs(constant)))
         low, high = (-linear - root).max(), (root - linear).min()
-        if 0 <= high - low < 2 * most_c[c]:
-            middle[c], half_length[c] = (low + high) / 2, (high - low) / 2 * UP + 8 * EPS * (abs(low) + abs(high))
+        if 0 <= high - low < 2 * most_c[loop]:
+            middle[loop] = (low + high) / 2
+            half_length[loop] = (high - low) / 2 * UP + 8 * EPS * (abs(low) + abs(high))
     return middle, half_length
