@@ -8,9 +8,9 @@ For any friction F of which s F stays below mu F_n at contacts without viscosity
     least potential >= s (work of the driven spheres + sum r . u*) - sum max(s |F| - mu F_n, 0)^2 / (2 eta)
 
 u* is not known, so r . u* is replaced by the least value that it may have. Where components do not mix (discs; normals
-along the axes) clipping every component of the spins to the largest size imposed lengthens no slip. On lattices they
-may be clipped to what is between the planes, layer by layer. So some u* lies within that box. On other networks springs
-take r away (springs.py).
+along the axes) no slip becomes longer if every component of the spins is clipped to the largest imposed size, on
+lattices to the interval between both planes, layer by layer. So some u* lies within these limits. On other networks
+forces of fictitious springs balance r (springs.py).
 
 Example. A free disc between a still disc (mu F_n = 3) and one that turns with u = 1 (mu F_n = 1). Spins with the free
 disc still have the power 1. Friction 1 on both contacts is in balance, r = 0, and does the work 1. So 1 is the least
@@ -29,8 +29,8 @@ from taichi_bearings.proof.springs import Springs, rolling
 from taichi_bearings.scene.solution import PROVEN
 
 FASTEST_COMPARED = 1e6  # surface speed over the fastest imposed one, up to which a restricted bound is proven
-# Shares of the potential: what a bound proven of all spins may cost, else a restricted one is given; and what leftover
-# torques may cost before they are balanced further.
+# Shares of the potential: most that leftover torques may cost in a bound proven of all spins, else a restricted one is
+# given; and most that they may cost without being balanced further.
 PAID, HARDLY_PAID = 1e-9, 1e-13
 DOUBLE_ERROR = 1e-12  # relative error, amply, of a quotient found in plain doubles
 BOUNDS_OF_SAMPLES = ("upper", "lower", "excess", "worst", "proof", "largest_torque", "price")  # fields (R,) of bounds
@@ -44,11 +44,11 @@ class Bounds:
 
     The upper bound is the potential of the stored spins. The lower bound follows from the stored friction:
 
-    1. Its torques do not quite cancel on free spheres. Where contacts are not along the axes, forces of fictitious
-    *springs* at the contacts are added that cancel them, but for rounding. Call the friction F after that. 2. A factor
-    s <= 1 brings s |F| within the friction limit of every contact without damping. 3. The bound is s times the work of
-    the driven spheres against F, less two amounts: the price of torques that are left, and what it costs that s |F| may
-    exceed friction at contacts with damping.
+    * Its torques do not quite cancel on free spheres. Where contacts are not along the axes, forces of fictitious
+      *springs* at the contacts are added that cancel them, but for rounding. Call the friction F after that.
+    * A factor s <= 1 brings s |F| within the friction limit of every contact without damping.
+    * The bound is s times the work of the driven spheres against F, less two amounts: the price of torques that are
+      left, and the cost of s |F| beyond the friction limit at contacts with damping.
 
     network : the R samples, with their spins, friction and coefficients.
     upper, lower : (R,), the bounds, rounded up and down.
@@ -61,8 +61,8 @@ class Bounds:
         largest imposed one.
     unknown : (n, 3) mask of the spin components on which the springs act; None if no springs were made.
     friction : F by component, 3 enclosures (m,), where contacts are not along the axes; else empty.
-    alone : where some samples need springs and others not, one Bounds for each sample, which has its own `unknown` and
-        `friction`; else empty.
+    alone : where only some samples need springs, one Bounds for each sample, with its own `unknown` and `friction`;
+        else empty.
     """
 
     network: JudgedNetwork
@@ -105,9 +105,8 @@ class Bounds:
         """Compute the bounds of all samples of a network.
 
         Upper bound: the potential of the stored spins. Lower bound: the work of the driven spheres against the
-        friction, less what its unbalanced torques on free spheres may cost at the spins of a minimum; all of it divided
-        by the largest ratio of friction to its limit, and less what friction beyond the limit costs where damping
-        allows that.
+        friction, less the largest cost of its unbalanced torques at the spins of a minimum; all of it divided by the
+        largest ratio of friction to its limit; less the cost of friction beyond the limit at contacts with damping.
 
         network : R samples with stored spins and friction. Where they need different proofs each is computed alone."""
         potential, count = network.dissipated(0.5), network.count
@@ -118,55 +117,53 @@ class Bounds:
             return cls.one_by_one(network)
         if network.mixes and (upper > 0).all():
             network = replace(network, rolling=rolling(network))
-            if len(set(network.samples_that_mix.tolist())) > 1:  # what is left of some samples needs no springs
+            if len(set(network.samples_that_mix.tolist())) > 1:  # without `rolling` some samples need no springs
                 return cls.one_by_one(network)
-        # Lower bound: price of the torques that the friction leaves over, within the box.
+        # Lower bound: price of the torques that the friction leaves over, at spins of at most the imposed size.
         friction, unknown = network.own_friction, None
         torques, proof = network.own_torques, np.full(network.count, PROVEN)
         left = np.array([_largest(network, torque) for torque in torques])
-        paid = price = _price(network, torques)
+        cost_of_torques = price = _price(network, torques)
         if network.mixes and (upper > 0).all():
-            balance = _held_by_springs(network, upper)
+            balance = _balanced_by_springs(network, upper)
             if balance is None:
                 return cls.one_by_one(network)
-            friction, torques, unknown, proof, paid = balance
+            friction, torques, unknown, proof, cost_of_torques = balance
         # Work of the driven spheres, less that price.
-        work = -paid
+        work = -cost_of_torques
         for torque, imposed in zip(torques, network.imposed, strict=True):
-            held = np.flatnonzero(imposed.high)
-            if len(held):
-                work = work + row_sum((torque.at(held) * imposed.at(held)).reshaped((count, -1)))
+            driven = np.flatnonzero(imposed.high)
+            if len(driven):
+                work = work + row_sum((torque.at(driven) * imposed.at(driven)).reshaped((count, -1)))
         size = network.graph.lengths(friction)
-        # Divide F by its worst ratio to the limit, over contacts without viscosity, and subtract what viscous contacts
-        # cost.
-        hard, soft = (
-            network.counts & (network.slope.high == 0),
-            np.flatnonzero(network.counts & (network.slope.high > 0)),
-        )
-        worst = _largest_ratio(network, size, hard)
+        # Divide F by its worst ratio to the limit, over contacts without viscosity, and subtract the cost of friction
+        # beyond the limit at the others, (|F| - mu F_n)^2 / (2 eta).
+        undamped = network.counts & (network.slope.high == 0)
+        damped = np.flatnonzero(network.counts & (network.slope.high > 0))
+        worst = _largest_ratio(network, size, undamped)
         if (worst > 1).any():
             size = size / Enclosure.exact(network.on_contacts(worst))
-        beyond = size.at(soft)
-        if network.law.has_friction:  # no less than what is beyond the friction
-            beyond = Enclosure.exact(np.maximum((beyond - network.holding.at(soft)).upper(), 0.0))
-        cost = network.by_sample((beyond * beyond / network.slope.at(soft)).signed(0.5), soft)
+        beyond = size.at(damped)
+        if network.law.has_friction:
+            beyond = Enclosure.exact(np.maximum((beyond - network.holding.at(damped)).upper(), 0.0))
+        cost = network.by_sample((beyond * beyond / network.slope.at(damped)).signed(0.5), damped)
         least = work / Enclosure.exact(worst) - cost
-        # Where components mix and the upper bound is 0, the box says nothing; but there no power is below 0.
+        # Where components mix and the upper bound is 0, `least` is no bound; but no power is below 0, which `upper` is.
         lower = np.minimum(least.lower(), upper)
         apart = np.where(network.impossible, np.inf, (potential - least).upper())
         return cls(network, upper, lower, np.maximum(apart, 0.0), size, worst, proof, left.max(axis=0), price.upper(),
                    unknown, friction if network.mixes else [])  # fmt: skip
 
 
-def _held_by_springs(
+def _balanced_by_springs(
     network: JudgedNetwork, upper: np.ndarray
 ) -> tuple[list[Enclosure], list[Enclosure], np.ndarray | None, np.ndarray, Enclosure] | None:
-    """Add forces of fictitious springs at the contacts to the stored friction, so that torques on free spheres cancel.
-    This is for contacts that are not along the axes.
+    """Return the stored friction with forces of fictitious springs at the contacts added, so that torques on free
+    spheres cancel, and what follows from it. This is for contacts that are not along the axes.
 
     Rounding leaves some torques. They can reduce the lower bound by their size times the largest spins (times radius)
-    of some minimum. Where these are not known to be small, FASTEST_COMPARED times the fastest imposed speed is taken
-    for them: the bound is then proven for such spins alone.
+    of some minimum. If these are not proven to be small, FASTEST_COMPARED times the fastest imposed speed is taken in
+    their place, and the bound is proven for such spins alone.
 
     network : R samples with n spheres and m contacts in all.
     upper : (R,), potentials of the stored spins.
@@ -186,11 +183,11 @@ def _held_by_springs(
 
     def sum_of_sizes(torques: list[Enclosure]) -> np.ndarray:
         """Return for each of R samples an upper bound (R,) on the sum of |torque over radius| over all components and
-        all spheres that forces reach.
+        all free spheres that contacts connect to driven ones.
 
         torques : for each component the torques left over on n spheres, enclosures (n,)."""
-        every = [np.where(network.reached, part.most, 0.0).reshape(count, -1).sum(axis=1) for part in torques]
-        found: np.ndarray = np.sum(every, axis=0) * UP
+        by_component = [np.where(network.reached, part.most, 0.0).reshape(count, -1).sum(axis=1) for part in torques]
+        found: np.ndarray = np.sum(by_component, axis=0) * UP
         return found
 
     def cost(torques: list[Enclosure]) -> np.ndarray:
@@ -204,12 +201,12 @@ def _held_by_springs(
     if springs is not None:
         reach, unknown = springs.reach, springs.number >= 0
         friction, torques = springs.balanced(lambda torques: cost(torques) > HARDLY_PAID * upper)
-        open_ = (reach > fastest) & (cost(torques) > PAID * upper)
-        if open_.any():
-            reach = np.where(open_, np.minimum(reach, springs.even_reach), reach)
+        is_too_large = (reach > fastest) & (cost(torques) > PAID * upper)
+        if is_too_large.any():  # the bound by equally stiff springs may be smaller
+            reach = np.where(is_too_large, np.minimum(reach, springs.even_reach), reach)
     known = (reach <= fastest) | (cost(torques) <= PAID * upper)
-    paid = Enclosure.exact(np.where(known, cost(torques), sum_of_sizes(torques) * fastest))
-    return friction, torques, unknown, np.where(known, PROVEN, WITHIN), paid
+    lost = Enclosure.exact(np.where(known, cost(torques), sum_of_sizes(torques) * fastest))
+    return friction, torques, unknown, np.where(known, PROVEN, WITHIN), lost
 
 
 def _largest(network: JudgedNetwork, torque: Enclosure) -> np.ndarray:
@@ -238,18 +235,18 @@ def _price(network: JudgedNetwork, torques: list[Enclosure]) -> Enclosure:
     return total
 
 
-def _largest_ratio(network: JudgedNetwork, size: Enclosure, hard: np.ndarray) -> np.ndarray:
+def _largest_ratio(network: JudgedNetwork, size: Enclosure, undamped: np.ndarray) -> np.ndarray:
     """Return for each of R samples the largest ratio of friction to its limit, |F| / (mu F_n), over the contacts
-    `hard`; 1 if that is less. The result is (R,), rounded up.
+    `undamped`; 1 if that is less. The result is (R,), rounded up.
 
     Ratios are first computed in doubles. Those close to the largest are computed once more with bounds on their errors.
 
     network : R samples with m contacts in all.
     size : (m,), |F| of all m contacts.
-    hard : (m,) mask of the contacts without viscosity, whose friction has a limit."""
+    undamped : (m,) mask of the contacts without viscosity, whose friction has a limit."""
     found, about = np.ones(network.count), np.zeros(len(network.acts))
-    np.divide(size.high, network.holding.high, out=about, where=hard)
+    np.divide(size.high, network.holding.high, out=about, where=undamped)
     most = about.reshape(network.count, -1).max(axis=1, initial=1.0)
-    large = np.flatnonzero(hard & (about >= network.on_contacts(most * (1 - DOUBLE_ERROR))))
+    large = np.flatnonzero(undamped & (about >= network.on_contacts(most * (1 - DOUBLE_ERROR))))
     np.maximum.at(found, network.sample_of(large), (size.at(large) / network.holding.at(large)).most)
     return found

@@ -6,37 +6,36 @@ curvature there: it is the sum of mu F_n |slip|, and minima are mixtures of cuts
 Symbols
     u : spin times radius along the component, with signs such that a contact slips by u_high - u_low between its nodes.
     m : number of the contacts that this component makes slip. Each is an edge between two nodes of a graph.
-    f : friction of an edge, with the sign of the slip that would go with it; between -mu F_n and mu F_n.
+    f : friction of an edge, positive if it goes with a positive slip; between -mu F_n and mu F_n.
     step : difference between two successive imposed values in a connected part of the graph.
-    E : excess, the power of the given spins less what the friction proves.
-    cut : parts the nodes into those above and those below; driven nodes lie as the values imposed on them. Its weight
-        is the sum of mu F_n over the edges between both sides.
+    E : excess, the power of the given spins less the lower bound that the friction proves.
+    cut : a division of the nodes into those above and those below a step; for driven nodes the imposed values say on
+        which side they are. Its weight is the sum of mu F_n over the edges between both sides.
 
 The proof
 1. At a minimum the nodes with u above almost any number between two imposed values are one side of a lightest cut of
    this step. A contact slips if its ends are on different sides of such a cut.
-2. Friction leaves little unused on lightest cuts. By step 5 each of them belongs to a minimum, at which the sum of mu
-   F_n |slip| - f slip over all edges is at most E (theorem 5; torques that f leaves over are paid for in E, as this
-   minimum lies in the box). No term is negative, and an edge across the cut slips by at least the step. So an edge from
-   below to above such a cut has mu F_n - f <= E / step, one from above to below mu F_n + f <= E / step. Hence, if mu
-   F_n - f > E / step and the upper end is above, then the lower end is above, too: "above" follows along such edges.
-3. Nodes that follow from driven ones above are above every lightest cut, and so for those below. Nodes that follow from
-   each other are on one side. That decides contacts one by one.
-4. Where cuts tie, the contacts that are left are decided in whole numbers (numerics/exact_cuts.py): which are in all
-   lightest cuts, in some, in none.
-
-5. At a minimum each step has a lightest cut, and each is contained in that of the step below. The union and the
-   intersection of lightest cuts of two steps are lightest cuts of these steps. So any lightest cut of one step belongs
-   to a minimum. Those that do not have a given contact between their sides are closed under union and intersection as
-   well, so if there is such a cut for each step, the smallest ones make a minimum at which the contact rests. So a
-   contact is tied if it is in some lightest cut of a step and in all of them at no step.
+2. On lightest cuts friction is close to its limit. By step 5 each of them belongs to a minimum, at which the sum of
+   mu F_n |slip| - f slip over all edges is at most E (theorem 5; E includes the price of torques that f leaves over).
+   No term is negative, and an edge across the cut slips by at least the step. So an edge from below to above such a cut
+   has mu F_n - f <= E / step, one from above to below mu F_n + f <= E / step. Hence, if mu F_n - f > E / step and the
+   node `high` of an edge is above, then its node `low` is above, too: "above" follows along such edges.
+3. Nodes that follow from driven ones above are above every lightest cut; in the same way nodes are below. Nodes that
+   follow from each other are on one side. That decides many contacts.
+4. Where cuts tie, the other contacts are decided in whole numbers (numerics/exact_cuts.py): which are in all lightest
+   cuts, in some, in none.
+5. At a minimum each step has a lightest cut, and the nodes above it include those above the cut of the next step. The
+   unions and the intersections of lightest cuts of two steps are lightest cuts of these steps. So any lightest cut of
+   one step belongs to a minimum. Lightest cuts without a given contact between their sides are closed under union and
+   intersection as well; if there is such a cut for each step, the smallest ones make a minimum at which the contact
+   rests. So a contact is tied if it is in some lightest cut of a step and in all of them at no step.
 
 Where loops have an odd number of contacts no signs fit. Then every sphere has two nodes, u and -u, and every contact
 two edges (double cover); both together have twice the excess. The mean of a minimum of the double cover and of its
-mirror image is one in which the two nodes of a sphere have opposite values, and such minima are those of the network.
-No edge has slips of opposite signs at two minima, so nothing cancels in the mean: the contact slips there if either of
-its edges does. So it slips at every minimum if at some step every lightest cut has one of its two edges, this or that
-one. A sphere at rest, u = 0, is the common case: its nodes may both be above or both below.
+mirror image is a minimum in which the two nodes of a sphere have opposite values, and such minima are those of the
+network. No edge has slips of opposite signs at two minima, so nothing cancels in the mean: the contact slips there if
+either of its edges does. So it slips at every minimum if at some step every lightest cut has at least one of its two
+edges. A sphere at rest, u = 0, is the common case: its nodes may both be above or both below.
 
 Example. A chain bottom - a - b - top of discs whose contacts have mu F_n = 3, 1, 2, and one step of 1. Friction in
 balance is 1 everywhere, so E = 0 at the minimum, and mu F_n - f = 2, 0, 1. "Above" follows from a to bottom and from
@@ -59,10 +58,10 @@ from taichi_bearings.proof.bounds import Bounds
 from taichi_bearings.proof.enclosure import UP, Enclosure, joined
 from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, TIED, UNDECIDED
 
-NEARLY_LEAST = 1e-9  # excess over the power, up to which cuts are counted in whole numbers
+NEARLY_LEAST = 1e-9  # excess over the power, up to which lightest cuts are found in whole numbers
 MOST_COUNTED = 40_000  # most contacts of a sample for which that is done
 MOST_LEVELS = 100  # most steps between imposed values of a part that are looked at, the largest ones
-MOST_SOUGHT = 300  # most nodes from which a search of all that follows is begun, for each of eight orders of nodes
+MOST_SOUGHT = 300  # most searches, one from each node, for nodes that follow from it; for each of eight orders of nodes
 
 
 @dataclass(frozen=True)
@@ -76,8 +75,8 @@ class CutGraph:
 
     own : (m,), indices in the network of the contacts that the component makes slip.
     low, high : (q,), nodes of each edge, q = m or 2 m; the contact slips by u at `high` less u at `low`.
-    up, down : (q,), lower bounds of mu F_n - f and of mu F_n + f: what a contact has left of its friction limit if it
-        slips upwards or downwards. Here f is its friction, positive if it goes with a slip upwards.
+    up, down : (q,), lower bounds of mu F_n - f and of mu F_n + f: the friction left up to the limit for slips upwards
+        (u larger at `high`) and downwards. Here f is the friction, positive if it goes with a slip upwards.
     label : (nodes,), the number of the connected part of each node.
     node, value : (d,), the driven nodes and the values of u imposed on them, sorted by part and value.
     is_double : True if there are loops of an odd number of contacts."""
@@ -104,40 +103,39 @@ class CutGraph:
         first, second = network.graph.contact[:, own]
         label, odd, sign = network.signs(k)
         # Friction along the component, divided such that none exceeds its limit.
-        pull = network.moment[k].at(own)
+        friction = network.moment[k].at(own)
         if (bounds.worst > 1).any():
-            pull = pull / Enclosure.exact(bounds.worst[network.sample_of(own)])
-        strength = network.holding.at(own)
-        held = np.unique(network.graph.contact[:, own])
-        held = held[~network.free[held]]
+            friction = friction / Enclosure.exact(bounds.worst[network.sample_of(own)])
+        limit = network.holding.at(own)
+        driven = np.unique(network.graph.contact[:, own])
+        driven = driven[~network.free[driven]]
         is_double = bool(odd[first].any())
-        if is_double:  # nodes u and -u of each sphere, so that u_i + u_j is high less low, in either copy
+        if is_double:  # node i is u_i, node i + count is -u_i: both edges of a contact slip by u_i + u_j
             low, high = np.append(second + count, first + count), np.append(first, second)
-            pull, strength = joined([pull, pull]), joined([strength, strength])
+            friction, limit = joined([friction, friction]), joined([limit, limit])
             label = pieces(2 * count, low, high)
-            imposed = network.imposed[k].at(held)
-            node, value = np.append(held, held + count), joined([imposed, -imposed])
+            imposed = network.imposed[k].at(driven)
+            node, value = np.append(driven, driven + count), joined([imposed, -imposed])
         else:
-            low, high, pull = first, second, pull.signed(sign[second])
-            node, value = held, network.imposed[k].signed(sign).at(held)
-        up, down = (strength - pull).lower(), (strength + pull).lower()
+            low, high, friction = first, second, friction.signed(sign[second])
+            node, value = driven, network.imposed[k].signed(sign).at(driven)
+        up, down = (limit - friction).lower(), (limit + friction).lower()
         order = np.lexsort((value.low, value.high, label[node]))
         return cls(own, low, high, up, down, label, node[order], value[order], is_double)
 
     def follows(self, margin: np.ndarray) -> sparse.csr_array:
-        """Return a directed graph of the nodes, a matrix (nodes, nodes): an edge leads from i to j if every lightest
-        cut that has i above it is known to have j above it, too.
+        """Return a directed graph of the nodes, a matrix (nodes, nodes): an edge leads from i to j if j is proven to be
+        above every lightest cut that i is above. That is so if the friction of the contact, in the direction of a slip
+        with i above and j below, is farther from its limit than on any lightest cut.
 
-        This is known of the two ends of an edge of the cut graph, in one direction, if the friction f of the edge in
-        that direction leaves more of its limit mu F_n unused than it could on a lightest cut.
-
-        margin : (q,), for each edge the most of mu F_n that may stay unused if the edge crosses a lightest cut: (power
-            less its proven lower bound) / (difference of the two imposed spins times radius that the cut separates).
-            The first is that of the sample of the edge, and twice that if spheres have two nodes; the second is that of
-            its connected part.
+        margin : (q,), for each edge the most that friction may miss of its limit mu F_n if the edge crosses a lightest
+            cut: (power less its proven lower bound) / (difference of the two imposed spins times radius that the cut
+            separates). The first is that of the sample of the edge, and twice that if spheres have two nodes; the
+            second is that of its connected part.
         """
-        size, rises, falls = len(self.label), self.up > margin, self.down > margin
-        tail, head = np.append(self.high[rises], self.low[falls]), np.append(self.low[rises], self.high[falls])
+        size, not_up, not_down = len(self.label), self.up > margin, self.down > margin
+        tail = np.append(self.high[not_up], self.low[not_down])
+        head = np.append(self.low[not_up], self.high[not_down])
         return sparse.csr_array((np.ones(len(tail), dtype=bool), (tail, head)), shape=(size, size))
 
 
@@ -168,11 +166,11 @@ def states_by_cuts(bounds: Bounds, k: int) -> np.ndarray:
     slips, tied = np.zeros((2, len(own)), dtype=bool)
     for number in range(min(int(rank.max(initial=-1)) + 1, MOST_LEVELS)):
         # One step of each part at a time: where it begins in the list of driven nodes, and a lower bound of its size.
-        mine = steps[rank == number]
+        of_rank = steps[rank == number]
         begin, least = np.full(size, len(node)), np.zeros(size)
-        begin[part[mine]], least[part[mine]] = mine, step[mine].lower()
-        rests, parted, both = _at_one_step(bounds, graph, begin, np.maximum(least, 0.0))
-        slips, tied, unknown = slips | parted, tied | both, unknown | ~(rests | parted | both)
+        begin[part[of_rank]], least[part[of_rank]] = of_rank, step[of_rank].lower()
+        in_none, in_all, in_some = _at_one_step(bounds, graph, begin, np.maximum(least, 0.0))
+        slips, tied, unknown = slips | in_all, tied | in_some, unknown | ~(in_none | in_all | in_some)
     states = np.where(network.acts & network.counts & network.feels[k], UNDECIDED, SLIPLESS)
     states[own] = np.select([slips, unknown, tied], [SLIPPING, UNDECIDED, TIED], SLIPLESS)
     return states
@@ -181,11 +179,9 @@ def states_by_cuts(bounds: Bounds, k: int) -> np.ndarray:
 def _at_one_step(
     bounds: Bounds, graph: CutGraph, begin: np.ndarray, least: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Say of each of m contacts where it lies in the lightest cuts of one step between imposed values. Returns three
-    masks (m,): it is in none of them; it is in all; it is in some and not in others. None is True where that is not
-    known.
-
-    With two nodes for each sphere a contact is "in" a cut if one of its two edges is.
+    """Return three masks (m,) of m contacts: those that are in no lightest cut of one step between imposed values, that
+    is between its two sides; those that are in all; and those that are in some, but not in all. Where nothing is known
+    all three are False. With two nodes for each sphere a contact is in a cut if one of its two edges is.
 
     bounds : the network, its friction, and the excess of each sample.
     graph : the graph with its m contacts.
@@ -201,26 +197,27 @@ def _at_one_step(
     place, first = np.arange(len(graph.node)), begin[label[graph.node]]
     above = reached(follows, graph.node[place > first])
     below = reached(follows.T.tocsr(), graph.node[(place <= first) & (first < len(graph.node))])
-    alike = (together[low] == together[high]) | (above[low] & above[high]) | (below[low] & below[high])
-    alike |= begin[label[low]] == len(graph.node)  # where there is no step, nothing slips
-    parted = (above[low] & below[high]) | (below[low] & above[high])
-    rests, both = alike[:count] & alike[-count:], np.zeros(count, dtype=bool)
-    parted = parted[:count] | parted[-count:]
+    one_side = (together[low] == together[high]) | (above[low] & above[high]) | (below[low] & below[high])
+    one_side |= begin[label[low]] == len(graph.node)  # where there is no step, nothing slips
+    across = (above[low] & below[high]) | (below[low] & above[high])
+    # The first and the last `count` edges are all edges, or the two copies.
+    in_none, in_some = one_side[:count] & one_side[-count:], np.zeros(count, dtype=bool)
+    in_all = across[:count] | across[-count:]
     if graph.is_double:
-        left = np.flatnonzero(~(rests | parted))
+        left = np.flatnonzero(~(in_none | in_all))
         edges = np.stack([low, high]).reshape(2, 2, count)[:, :, left]
-        parted[left] = _in_either_copy(follows, together, above, below, edges)[0]
-    if not (rests | parted).all():
-        near, some, every = _in_whole_numbers(bounds, graph, together, above, below)
-        rests[near], parted[near], both[near] = ~some, every, some & ~every
-    return rests, parted, both
+        in_all[left] = _in_either_copy(follows, together, above, below, edges)[0]
+    if not (in_none | in_all).all():
+        decided, some, every = _in_whole_numbers(bounds, graph, together, above, below)
+        in_none[decided], in_all[decided], in_some[decided] = ~some, every, some & ~every
+    return in_none, in_all, in_some
 
 
 def _in_whole_numbers(
     bounds: Bounds, graph: CutGraph, together: np.ndarray, above: np.ndarray, below: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Decide with whole numbers, and so exactly, which contacts belong to lightest cuts, where several cuts have
-    (nearly) the same weight.
+    """Return which contacts belong to lightest cuts, decided in whole numbers and so exactly. This is for cuts that
+    have (nearly) the same weight.
 
     A cut divides the nodes into two sides; its weight is the sum of the friction limits of the edges between them. Only
     contacts are decided with an edge whose ends may be on different sides. Samples are left out whose excess, power
@@ -233,17 +230,18 @@ def _in_whole_numbers(
 
     Returns the indices (q,) of the contacts that were decided; the mask (q,) of those that are in some lightest cut
     (with one of their edges); and the mask (q,) of those that are in all of them."""
+    # Nodes that are on one side of every lightest cut become one: `edges` are edges between these.
     network, place = bounds.network, np.unique(together, return_index=True)[1]  # a node of each label
     above, between = above[place], ~(above | below)[place]
     edges = together[np.stack([graph.low, graph.high])].reshape(2, -1, len(graph.own))  # (both ends, copies, contacts)
-    near = np.flatnonzero((between[edges].any(axis=0) & (edges[0] != edges[1])).any(axis=0))
-    sample = network.sample_of(graph.own[near])
-    counts = (bounds.excess <= NEARLY_LEAST * bounds.upper) & (
-        np.bincount(sample, minlength=network.count) <= MOST_COUNTED
-    )
-    near = near[counts[sample]]
-    whole = [whole_numbers(of[graph.own[near]]) for of in network.factors]
-    weight, edges = prod(whole, start=np.ones(len(near), dtype=object)), edges[:, :, near]
+    asked = np.flatnonzero((between[edges].any(axis=0) & (edges[0] != edges[1])).any(axis=0))
+    sample = network.sample_of(graph.own[asked])
+    is_small = np.bincount(sample, minlength=network.count) <= MOST_COUNTED
+    can_be_tried = (bounds.excess <= NEARLY_LEAST * bounds.upper) & is_small
+    asked = asked[can_be_tried[sample]]
+    # Friction limits as whole multiples of one unit are the weights of the edges.
+    multiples = [whole_numbers(factor[graph.own[asked]]) for factor in network.factors]
+    weight, edges = prod(multiples, start=np.ones(len(asked), dtype=object)), edges[:, :, asked]
     copies = edges.shape[1]
     cuts, place = cuts_between(edges.reshape(2, -1), np.tile(weight, copies), above, between)
     some, every = (np.any(list(of.reshape(copies, -1)), axis=0) for of in (cuts.some, cuts.every))
@@ -252,25 +250,25 @@ def _in_whole_numbers(
         every[left], is_known = _in_either_copy(
             cuts.residual, cuts.together, cuts.near, cuts.far, place[edges[:, :, left]]
         )
-        kept = np.delete(np.arange(len(near)), left[~is_known])
-        near, some, every = near[kept], some[kept], every[kept]
-    return near, some, every
+        kept = np.delete(np.arange(len(asked)), left[~is_known])
+        asked, some, every = asked[kept], some[kept], every[kept]
+    return asked, some, every
 
 
 def _in_either_copy(
     follows: sparse.csr_array, together: np.ndarray, begin: np.ndarray, end: np.ndarray, edges: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Say of each of n contacts whether every lightest cut has at least one of its two edges between its sides, where
-    each sphere has two nodes. Returns the mask (n,) of those for which that follows, and the mask (n,) of those for
-    which everything that follows was looked at (all but the searches beyond MOST_SOUGHT).
+    """Return the mask (n,) of those of n contacts for which it follows that every lightest cut has at least one of
+    their two edges between its sides, where each sphere has two nodes; and the mask (n,) of those for which all that
+    follows was looked at (all but the searches beyond MOST_SOUGHT).
 
     Suppose that a lightest cut has neither of both edges, p - q and r - s, between its sides. If p is on the first side
     then q is there, too, and all that follows from q. If r follows from q, then s is there. So if p is known to be on
-    the first side and s on the second one, there is no such cut. Nothing else can exclude it. For take a way from the
-    first side to the second one that uses each edge once at most: it is one of these eight (either edge first, either
-    end of each), or it uses one edge alone, which the caller has looked at.
+    the first side and s on the second one, there is no such cut. Nothing else can exclude it: a path from the first
+    side to the second one that uses each edge at most once is one of these eight (either edge first, either end of
+    each), or it uses one edge alone, which the caller has looked at.
 
-    follows : directed graph of the nodes: whatever a node reaches is on the first side if that node is.
+    follows : directed graph of the nodes: the nodes that a path leads to from one on the first side are there, too.
     together : (nodes,), labels, equal for nodes that reach each other.
     begin, end : (nodes,), masks of the nodes that are surely on the first side, surely on the second one.
     edges : (2, 2, n), nodes at both ends (first axis) of both edges (second axis) of each contact."""

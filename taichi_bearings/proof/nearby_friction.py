@@ -1,7 +1,7 @@
-"""Friction on contacts near a loop that bears the torques which the loop exerts: step 2 of theorem 8 (borne.py).
+"""Friction on contacts near a loop that balances the torques of friction along the loop: step 2 of borne.py.
 
 What comes out. Friction is sought that exerts given torques, and stays below the friction limit at every contact.
-Nothing about it has to be proven, as borne.py computes anew what it balances and how large it is.
+Nothing about it has to be proven, as borne.py computes its torques and sizes anew.
 
 Symbols
     q : number of contacts near the loop, with two components of friction each, along two tangents.
@@ -27,18 +27,21 @@ from taichi_bearings.numerics.blas import DENSE
 MOST_BARRIER_STEPS, ENOUGH = 60, 0.999  # Newton steps; largest friction over limit at which they end
 # factor by which t - (largest |G| / w) falls from step to step, and t over the largest |G| / w at the start
 CLOSER, START = 0.7, 1.05
-RAISED = 1e-12  # relative addition to diagonals
-SHORTER, SHORTEST = 0.8, 1e-4  # factor and end of the search for the length of a step
+RAISED = 1e-12  # relative addition to diagonals, so that matrices that are nearly singular can be factorised
+SHORTER, SHORTEST = (
+    0.8,
+    1e-4,
+)  # factor by which a step is shortened until it is allowed, and shortest step over the whole
 
 
 def spheres_nearby(ends: np.ndarray, inside: np.ndarray, start: np.ndarray, most: int) -> np.ndarray:
-    """Return the mask (N,) of the spheres that contacts connect to those of `start` over the fewest contacts: rings of
-    neighbours are added as long as there are at most `most` spheres in all.
+    """Return the mask (N,) of the spheres in `start` and of spheres near them: neighbours over contacts are added, then
+    their neighbours, and so on, as long as there are at most `most` spheres in all.
 
     ends : (2, q), indices of both spheres of each contact.
     inside : (N,) mask of the spheres that may be taken.
     start : (N,) mask of the spheres to begin with.
-    most : number of spheres, which `start` alone may exceed.
+    most : number of spheres; `start` alone may have more.
     """
     found: np.ndarray = start & inside
     while True:
@@ -52,21 +55,22 @@ def spheres_nearby(ends: np.ndarray, inside: np.ndarray, start: np.ndarray, most
 
 @np.errstate(all="ignore")  # a step that is not finite ends the search
 def friction_within_limits(rows: np.ndarray, friction: np.ndarray, limit: np.ndarray, load: np.ndarray) -> np.ndarray:
-    """Return friction (q, 2) near `friction` in its torques M^T F, less a load, that is below the limit of every
-    contact if such friction is found; else the friction closest to it.
+    """Return friction G, (q, 2), with M^T (G - F) = -load, that is below the limit of every contact if such friction is
+    found; else the last G that the search came to.
 
     rows : M, (2 q, n), slips of q contacts along two tangents from n unknown spin components.
     friction : F, (q, 2), components along the tangents, force.
-    limit : (q,), friction limits, above 0.
-    load : (n,), torques that the change of friction is to balance: M^T (G - F) = -load.
+    limit : (q,), friction limits w, above 0.
+    load : (n,), torques that the change of friction is to balance.
     """
     matrix = rows * np.repeat(limit, 2)[:, None]  # G / w is sought, so that all limits are 1
     found = friction / limit[:, None]
+    # First the smallest change that balances the load; then Newton steps that keep these torques.
     found = found + _step(matrix, np.broadcast_to(np.eye(2), (len(limit), 2, 2)), np.zeros_like(found), load)
     largest = float(np.linalg.norm(found, axis=1).max(initial=0.0))
-    ratio, share = START * largest, 1.0
+    ratio, length = START * largest, 1.0
     for _ in range(MOST_BARRIER_STEPS):
-        if not (ENOUGH < largest < np.inf and share > SHORTEST):
+        if not (ENOUGH < largest < np.inf and length > SHORTEST):
             break
         size = (found**2).sum(axis=1)
         barrier = ratio**2 - size
@@ -74,11 +78,11 @@ def friction_within_limits(rows: np.ndarray, friction: np.ndarray, limit: np.nda
         slope = 2 * found / barrier[:, None]
         outer = found[:, :, None] * found[:, None, :] / (barrier + 2 * size)[:, None, None]
         step = _step(matrix, barrier[:, None, None] * (np.eye(2) / 2 - outer), slope, np.zeros_like(load))
-        share = 1.0
-        while share > SHORTEST and not (((found + share * step) ** 2).sum(axis=1) < ratio**2).all():
-            share *= SHORTER
-        if share > SHORTEST:
-            found = found + share * step
+        length = 1.0
+        while length > SHORTEST and not (((found + length * step) ** 2).sum(axis=1) < ratio**2).all():
+            length *= SHORTER
+        if length > SHORTEST:
+            found = found + length * step
             largest = float(np.linalg.norm(found, axis=1).max())
             ratio = largest + CLOSER * (ratio - largest)
     result: np.ndarray = found * limit[:, None]
@@ -94,14 +98,15 @@ def _step(matrix: np.ndarray, compliance: np.ndarray, slope: np.ndarray, load: n
     slope : (q, 2), gradient.
     load : (n,), torques.
     """
+    # d = C (M x - slope), with multipliers x such that M^T d = -load.
     count = len(compliance)
-    eased = np.einsum("eab,ebn->ean", compliance, matrix.reshape(count, 2, -1)).reshape(2 * count, -1)
-    down = -np.einsum("eab,eb->ea", compliance, slope)
-    normal = matrix.T @ eased
+    product = np.einsum("eab,ebn->ean", compliance, matrix.reshape(count, 2, -1)).reshape(2 * count, -1)
+    free_step = -np.einsum("eab,eb->ea", compliance, slope)
+    normal = matrix.T @ product
     normal[np.diag_indices(len(load))] *= 1 + RAISED
     try:
-        spins = DENSE.cho_solve(DENSE.cho_factor(normal), -load - matrix.T @ down.ravel())
+        multipliers = DENSE.cho_solve(DENSE.cho_factor(normal), -load - matrix.T @ free_step.ravel())
     except (np.linalg.LinAlgError, ValueError):
         return np.full_like(slope, np.nan)
-    found: np.ndarray = down + (eased @ spins).reshape(count, 2)
+    found: np.ndarray = free_step + (product @ multipliers).reshape(count, 2)
     return found

@@ -1,8 +1,8 @@
 """Proof that contacts of a packing rest at every minimum, part by part, where friction is nearly known: theorem 8.
 
-What is proven. Where the friction of slipping contacts is known closely, other contacts need not slip if they can bear
-what these leave to them. The theorem holds for any network; this file uses it where components do not mix, borne.py for
-normals in any direction.
+What is proven. Where the friction of slipping contacts is known closely, other contacts do not slip if friction on
+them, below their limits, can balance the torques of the slipping ones. The theorem holds for any network; this file
+uses it where components do not mix, borne.py for normals in any direction.
 
 Symbols
     N spheres, E contacts. K : matrix of slips, b : slips of what is imposed; y = K u + b are the slips of spins u.
@@ -22,17 +22,17 @@ eta |y*|^2, equals that of G . y*. But G . y* is smaller than mu F_n |y*| at eve
 What slackness says of F* (theorem 5), see `_distance_by_slackness`. Let E be the potential of the spins at hand less
 what the friction at hand proves. With friction alone F* differs from mu F_n y / |y| by at most (2 mu F_n E / |y|)^1/2.
 
-How it is used, where components do not mix (discs; normals along the axes). What contacts of X join through free
-spheres in one component is a *part*.
-1. Condition a holds, without any rounding, where all driven spheres that a part touches ask for one spin, up to the
-   signs by which neighbours differ; a part with a loop of an odd number of contacts can only stand still.
-2. For b start from the friction F of X at hand. It misses K^T F* on a sphere by no more than r: what F leaves over
-   there, and |F* - F| of its other contacts (`known_friction`). G takes r along a tree of contacts of the part to its
-   root, with no force above the sum of r over the part. The root is next to a driven sphere, or, without one, what
-   arrives there cancels, as friction of X, F* less F, can balance it. In a part with odd loops it may not cancel: the
-   root is put on such a loop, and half of the rest goes around it each way. So no force changes by more than 3/2 of the
-   sum of r over the part.
-3. Start with all contacts that have friction left, and remove those that may have to bear too much, until none does.
+How it is used, where components do not mix (discs; normals along the axes). A *part* is what contacts of X join through
+free spheres in one component.
+1. Condition a holds, without any rounding, if all driven spheres that a part touches have the same imposed spin, up to
+   the signs by which neighbours differ; with a loop of an odd number of contacts it has to be 0.
+2. For b start from the friction F of X at hand. Its torque on a sphere differs from that of F* by no more than r: the
+   torque that F leaves over there, and |F* - F| of the other contacts (`known_friction`). Changes of friction carry
+   these torques along a tree of contacts of the part to its root, none larger than the sum of r over the part. The root
+   is next to a driven sphere; or, without one, what arrives there cancels, as friction of X, F* less F, can balance it.
+   In a part with odd loops it may not cancel: the root is put on such a loop, and half of the rest goes around it each
+   way. So no force changes by more than 3/2 of the sum of r over the part.
+3. Start with all contacts that have friction left. Remove those whose friction may exceed the limit, until none does.
 
 Example. A free disc touches a still disc (mu F_n = 3) and one that turns with u = 1 (mu F_n = 1, eta = 1), along which
 it slips. The friction there is known, mu F_n + eta |y| = 2. X is the first contact. Condition a: the free disc can
@@ -60,8 +60,7 @@ def known_friction(bounds: Bounds, far: np.ndarray) -> tuple[np.ndarray, np.ndar
     bound (E,) on |F* - F|, with the stored friction F, for every contact that can dissipate, 0 for others.
 
     F* is nearly known of three kinds of contacts: those that surely slip at every minimum; those with damping alone;
-    and those that slip fast in the stored spins, so that a clearly different friction would cost more than the
-    difference between power and bound.
+    and those with so much slip in the stored spins that slackness (`_distance_by_slackness`) leaves little open.
 
     bounds : bounds on the power, with the network and its friction.
     far : (E,), bound on |slip at any minimum - stored slip|, in units of the network; infinite where none is known.
@@ -70,35 +69,33 @@ def known_friction(bounds: Bounds, far: np.ndarray) -> tuple[np.ndarray, np.ndar
     slips = network.counts & ((size.least > far) | ((network.holding.high == 0) & np.isfinite(far)))
     by_slackness = _distance_by_slackness(bounds)
     known = slips | (by_slackness < NEARLY_KNOWN * network.holding.least)
-    own, friction = np.flatnonzero(slips | np.isfinite(by_slackness)), bounds.friction or network.own_friction
-    with_friction = np.flatnonzero(network.holding.high[own] > 0)
-    wrong = []
-    # Difference between the friction at hand and the one by the law at the given slips, mu F_n y / |y| + eta y.
+    # Size of F less the friction of the law at the stored slips, mu F_n y / |y| + eta y, for contacts that need it.
+    some, friction = np.flatnonzero(slips | np.isfinite(by_slackness)), bounds.friction or network.own_friction
+    place = np.flatnonzero(network.holding.high[some] > 0)
+    with_limit, differences = some[place], []
     for given, slip in zip(friction, network.slips(network.spin), strict=True):
-        lawful = network.slope.at(own) * slip.at(own)
-        by_friction = network.holding.at(own[with_friction]) * (
-            slip.at(own[with_friction]) / size.at(own[with_friction])
-        )
-        lawful.put(with_friction, lawful.at(with_friction) + by_friction)
-        wrong.append(given.at(own) - lawful)
-    missed = np.zeros(len(known))
-    missed[own] = length(wrong).most
+        by_law = network.slope.at(some) * slip.at(some)
+        of_limit = network.holding.at(with_limit) * (slip.at(with_limit) / size.at(with_limit))
+        by_law.put(place, by_law.at(place) + of_limit)
+        differences.append(given.at(some) - by_law)
+    from_law = np.zeros(len(known))
+    from_law[some] = length(differences).most
     # A slip that differs by far has a unit vector that differs by 2 far / |slip| at most; that of discs is fixed.
     turn = 0 * far if len(friction) == 1 else np.where(size.least > far, 2 * far / size.least, 0.0)
     damped = network.slope.high > 0
     damping_force = np.where(damped, network.slope.most * (size.most + far), 0.0)
-    # Where friction is not known, F* and F may point in opposite directions: the sum of their largest sizes.
+    # In general F* and F may point in opposite directions: the sum of their largest sizes.
     distance = network.holding.most + damping_force + length(friction).most
-    # Where it is known: what F misses of the law, and what the law may change within far, or slackness allows.
+    # Of slipping contacts: distance of F from the law, and change of the law for slips within far.
     changed = network.holding.most * turn * UP + np.where(damped, network.slope.most * far, 0.0)
-    distance[slips] = (missed + changed)[slips]
-    distance = np.fmin(distance, missed + by_slackness)
+    distance[slips] = (from_law + changed)[slips]
+    distance = np.fmin(distance, from_law + by_slackness)
     return known, np.where(network.counts, distance * UP, 0.0)
 
 
 def _distance_by_slackness(bounds: Bounds) -> np.ndarray:
     """Return a bound (E,) on |F* - mu F_n y / |y||, for E contacts with the friction F* at any minimum and the stored
-    slips y. It is infinite for contacts that have damping, no friction, or no slip that is surely above 0.
+    slips y. It is infinite for contacts with damping, without friction, or whose slip may be 0.
 
     With friction alone the power of the stored slips less the least power is the sum of mu F_n |y| - F* . y over all
     contacts. No term is negative, and the sum is at most E, the upper less the lower bound on the power. As |F*| <= mu
@@ -118,8 +115,8 @@ def at_rest(bounds: Bounds, far: np.ndarray) -> np.ndarray:
     normals along the axes.
 
     Contacts that can all rest at once do rest at every minimum, if friction below their limits can balance the torques
-    of the other contacts. At first all contacts with friction left are assumed to rest. Those that may have to bear too
-    much are removed, again and again, until none is left that may.
+    of the other contacts. At first all contacts with friction left are assumed to rest. Those whose friction may exceed
+    the limit are removed, again and again, until there is none.
 
     bounds : bounds on the power, with the network and its friction.
     far : (E,), bound on |slip at any minimum - stored slip|, in units of the network; infinite where none is known.
@@ -128,8 +125,8 @@ def at_rest(bounds: Bounds, far: np.ndarray) -> np.ndarray:
     known, distance = known_friction(bounds, far)
     margin = (network.holding - length(network.own_friction)).lower()
     rests = network.counts & ~known & (margin > 0) & imposed_exactly(network)
-    # Begin with all contacts that have friction left. Each round bounds the torques by the contacts outside, then
-    # how much friction may have to change, and removes the contacts that may have to bear too much.
+    # Each round bounds the torques by the contacts that are not assumed to rest, then the change of friction that
+    # balances them, and removes the contacts with a larger change than friction left.
     while rests.any():
         change = np.zeros(len(margin))
         for k in network.components:
@@ -138,10 +135,10 @@ def at_rest(bounds: Bounds, far: np.ndarray) -> np.ndarray:
             for end in network.graph.contact[:, others]:
                 torque = torque + np.bincount(end, distance[others], len(torque))
             change += _most_change(network, k, rests & network.feels[k], torque * UP) ** 2
-        bears = margin > np.sqrt(change) * UP
-        if bears[rests].all():
+        is_below = margin > np.sqrt(change) * UP
+        if is_below[rests].all():
             break
-        rests &= bears
+        rests &= is_below
     found: np.ndarray = rests
     return found
 
@@ -150,28 +147,28 @@ def _most_change(network: JudgedNetwork, k: int, rests: np.ndarray, torque: np.n
     """Return a bound (E,) on how much the friction of each contact that is tried as resting has to change, along spin
     component k, to balance given torques. It is infinite in parts that cannot rest, and 0 for contacts not tried.
 
-    A part is what these contacts join through free spheres. Torques go to the driven spheres along a tree of its
-    contacts, and in a loop of an odd number of contacts half of each torque goes either way: no force changes by more
-    than 3/2 of their sum. A part can rest if all driven spheres that it touches ask for one spin, up to the signs by
-    which neighbours differ; with an odd loop only if they ask for none.
+    A part is what these contacts join through free spheres. Torques are carried to the driven spheres along a tree of
+    its contacts, and in a loop of an odd number of contacts half of each goes either way: no force changes by more than
+    3/2 of their sum. A part can rest if all driven spheres that it touches have the same imposed spin, up to the signs
+    by which neighbours differ; with an odd loop it has to be 0.
 
     network : a packing with N spheres and E contacts, whose slips do not mix the components of the spins.
     rests : (E,) mask of the contacts that are tried.
-    torque : (N,), bound on the torque on each sphere that they have to take up.
+    torque : (N,), bound on the torque on each sphere that their change balances.
     """
-    own, count, found = np.flatnonzero(rests), len(network.free), np.zeros(len(rests))
-    ends, imposed = network.graph.contact[:, own], network.imposed[k]
-    # Parts of X: each contact with a driven end gets a node of its own there, so that parts do not join through it.
-    nodes = np.where(network.free[ends], ends, count + np.arange(len(own)))  # a driven end is not passed through
-    label, odd, sign = signs(nodes, count + len(own))
+    tried, count, found = np.flatnonzero(rests), len(network.free), np.zeros(len(rests))
+    ends, imposed = network.graph.contact[:, tried], network.imposed[k]
+    # Each contact with a driven end gets a node of its own there, so that driven spheres join no parts.
+    nodes = np.where(network.free[ends], ends, count + np.arange(len(tried)))
+    label, odd, sign = signs(nodes, count + len(tried))
     total = np.bincount(label[:count], np.where(network.free, torque, 0.0), len(label)) * SHARE_AROUND
-    # Condition a: compare the spins that the driven ends of each part ask for, with their signs, as exact sums.
-    held = np.flatnonzero((nodes >= count).any(axis=0))
-    driven = np.where(network.free[ends[0]], ends[1], ends[0])[held]
-    asked = imposed.at(driven).signed(sign[count + held])
-    part = label[count + held]
+    # Condition a: compare the imposed spins at the driven ends of each part, with their signs, as exact sums.
+    with_driven = np.flatnonzero((nodes >= count).any(axis=0))
+    driven = np.where(network.free[ends[0]], ends[1], ends[0])[with_driven]
+    signed = imposed.at(driven).signed(sign[count + with_driven])
+    part = label[count + with_driven]
     first, place = np.unique(part, return_index=True, return_inverse=True)[1:]
-    differs = np.any([values != values[first][place] for values in asked.parts[:2]], axis=0)
-    total[part[differs | (odd[count + held] & (asked.high != 0))]] = np.inf
-    found[own] = total[label[nodes[0]]]
+    differs = np.any([values != values[first][place] for values in signed.parts[:2]], axis=0)
+    total[part[differs | (odd[count + with_driven] & (signed.high != 0))]] = np.inf
+    found[tried] = total[label[nodes[0]]]
     return found
