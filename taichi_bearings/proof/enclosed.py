@@ -27,8 +27,8 @@ ONE_SPEED = 4
 def judged_network(
     scene: Bearing, spin: np.ndarray, spin_rounding: np.ndarray, friction: np.ndarray
 ) -> JudgedNetwork | None:
-    """Return the network to be judged, with numbers enclosed in sums of two doubles; None for numbers that are not
-    finite, or whose scales are so large or small that products might overflow or underflow.
+    """Return the network to be judged, with its numbers as enclosures (two doubles and a bound on the error); None for
+    numbers that are not finite, or whose scales are so large or small that products might overflow or underflow.
 
     scene : R samples of a lattice or of a packing, with N spheres (on lattices *N, its shape) and E contacts each.
     spin, spin_rounding : (R, *N, 3), of discs (R, *N), 1/time; the spin is the sum of the two.
@@ -40,7 +40,7 @@ def judged_network(
 
 
 def _on_lattice(samples: OnLattice) -> JudgedNetwork:
-    """Return the spins, friction and contacts of R samples of a lattice, side by side, as enclosures in units that are
+    """Return the network of R samples of a lattice for the proofs, with its numbers as enclosures in units that are
     powers of two (speeds: times the radius).
 
     samples : the samples, whose scales have been checked (`can_be_judged`)."""
@@ -64,8 +64,8 @@ def _on_lattice(samples: OnLattice) -> JudgedNetwork:
 
 
 def _in_lists(packing: Bearing, spin: np.ndarray, rounding: np.ndarray, friction: np.ndarray) -> JudgedNetwork | None:
-    """Return the network of R samples of a packing, side by side, for the proofs; None where speeds or forces are so
-    large or small that products might overflow or underflow.
+    """Return the network of R samples of a packing for the proofs, with its numbers as enclosures; None where speeds or
+    forces are so large or small that products might overflow or underflow.
 
     packing : the R samples, with N spheres and E contacts each.
     spin, rounding : (R, N, 3), of discs (R, N), 1/time; the spin is the sum of the two.
@@ -80,47 +80,48 @@ def _in_lists(packing: Bearing, spin: np.ndarray, rounding: np.ndarray, friction
     # where all radii are the same, speeds are measured in it, and none is rounded
     unit, radius = (float(radius[0]), np.ones(len(radius))) if (radius == radius[0]).all() else (1.0, radius)
     fastest = float(np.abs(imposed * radius[:, None])[~free].max(initial=0.0)) or 1.0
-    given, *beside = packing.named_coefficients.values()
-    pressed = np.broadcast_to(packing.normal_force if law.has_friction else 1.0, given.shape)
-    # Friction limits (`first`) and damping (`slope`) in doubles, to choose units by them.
-    first, slope = given * pressed, np.zeros(given.shape)
+    coefficient, *further = packing.named_coefficients.values()
+    normal_force = np.broadcast_to(packing.normal_force if law.has_friction else 1.0, coefficient.shape)
+    # Friction limits mu F_n and damping eta in doubles, to choose units by them.
+    limit, damping = coefficient * normal_force, np.zeros(coefficient.shape)
     if law.has_viscosity:
-        slope = beside[0] if law.has_friction else given
-    largest = slope.max(axis=1, initial=0.0) * unit * fastest
-    largest = np.maximum(first.max(axis=1, initial=0.0) if law.has_friction else 0.0, largest)
-    # Scale speeds and forces by powers of two, by which nothing is rounded; forces of each sample by its own.
+        damping = further[0] if law.has_friction else coefficient
+    largest = damping.max(axis=1, initial=0.0) * unit * fastest
+    largest = np.maximum(limit.max(axis=1, initial=0.0) if law.has_friction else 0.0, largest)
+    # Scale speeds and forces by powers of two, by which nothing is rounded; forces of each sample by one of its own.
     if not all(LEAST_SPEED < fast < MOST_SCALE for fast in (fastest, fastest * unit)):
         return None
     if not ((largest == 0) | ((largest > LEAST_SCALE) & (largest < MOST_SCALE))).all():
         return None
     speed, force = power_of_two(fastest), np.array([power_of_two(of) for of in largest.tolist()])
-    acts = ((first > 0) | (slope > 0)) & contacts.has_free_end
+    acts = ((limit > 0) | (damping > 0)) & contacts.has_free_end
     with np.errstate(over="ignore"):
         spin, rounding, friction = spin / speed, rounding / speed, friction / force[:, None, None]
-    sizes = (spin, rounding, spin * radius[:, None], rounding * radius[:, None], friction)
-    if not all((np.abs(values) < MOST_SCALE).all() for values in sizes):
+    scaled = (spin, rounding, spin * radius[:, None], rounding * radius[:, None], friction)
+    if not all((np.abs(values) < MOST_SCALE).all() for values in scaled):
         return None
     graph = Listed.of_samples(contacts, friction)
-    every, radius = np.tile(free, count), np.tile(radius, count)
-    moving = [Enclosure.exact(*(of[..., k].ravel() for of in (spin, rounding))) for k in range(spin.shape[2])]
-    moving = moving if (radius == 1).all() else [_surface_speed(part, radius, ~every) for part in moving]
-    faint = np.tile(
+    free_of_all, radius = np.tile(free, count), np.tile(radius, count)
+    speeds = [Enclosure.exact(*(of[..., k].ravel() for of in (spin, rounding))) for k in range(spin.shape[2])]
+    speeds = speeds if (radius == 1).all() else [_surface_speed(part, radius, ~free_of_all) for part in speeds]
+    faint_sign = np.tile(
         np.where((imposed != 0) & (np.abs(imposed) < LOSING_DIGITS * speed), np.sign(imposed), 0.0).T, count
     )
-    for part, sign in zip(moving, faint, strict=True):
-        _equalise_imposed_speeds(part, np.flatnonzero(~every))
-        lost = np.flatnonzero((sign != 0) & ~every)
-        size = LOSING_DIGITS * radius[lost]
-        part.put(lost, Enclosure(sign[lost] * size, np.zeros(len(lost)), 2 * size))
-    zero, pressed = Enclosure.exact(np.zeros(acts.size)), pressed.ravel()
+    # Imposed speeds that nearly agree become equal; of those that lost digits only the sign is kept, with an error.
+    for part, sign in zip(speeds, faint_sign, strict=True):
+        _equalise_imposed_speeds(part, np.flatnonzero(~free_of_all))
+        faint = np.flatnonzero((sign != 0) & ~free_of_all)
+        size = LOSING_DIGITS * radius[faint]
+        part.put(faint, Enclosure(sign[faint] * size, np.zeros(len(faint)), 2 * size))
+    zero, normal_force = Enclosure.exact(np.zeros(acts.size)), normal_force.ravel()
     moment = moments([Enclosure.exact(np.where(acts.ravel(), part, 0.0)) for part in graph.friction.T], graph.normal)
     return JudgedNetwork(
-        law, count, every, speed * unit, force, moving, moment,
-        Enclosure.exact((given / force[:, None]).ravel()).times(pressed) if law.has_friction else zero,
+        law, count, free_of_all, speed * unit, force, speeds, moment,
+        Enclosure.exact((coefficient / force[:, None]).ravel()).times(normal_force) if law.has_friction else zero,
         zero if not law.has_viscosity else
-        Enclosure.exact((slope * (speed / force)[:, None]).ravel()).times(np.array([unit])),
-        [part.where(~every) for part in moving],
-        graph, factors=(given.ravel(), np.broadcast_to(packing.normal_force, given.shape).ravel()),
+        Enclosure.exact((damping * (speed / force)[:, None]).ravel()).times(np.array([unit])),
+        [part.where(~free_of_all) for part in speeds],
+        graph, factors=(coefficient.ravel(), np.broadcast_to(packing.normal_force, coefficient.shape).ravel()),
     )  # fmt: skip
 
 
@@ -147,17 +148,17 @@ def _equalise_imposed_speeds(u: Enclosure, driven: np.ndarray) -> None:
 
     driven : indices of the driven spheres.
     """
-    own = driven[u.high[driven] != 0]
-    sign = np.sign(u.high[own])
-    # Distinct sizes in ascending order, and in groups: neighbours are of one group if close to its smallest size.
-    (size, _), place = np.unique(np.stack([sign * u.high[own], sign * u.low[own]]), axis=1, return_inverse=True)
-    group = np.arange(len(size))
+    turning = driven[u.high[driven] != 0]
+    sign = np.sign(u.high[turning])
+    # Distinct sizes in ascending order, in groups: a size belongs to the group before if close to its smallest size.
+    (size, _), place = np.unique(np.stack([sign * u.high[turning], sign * u.low[turning]]), axis=1, return_inverse=True)
+    group = np.arange(len(size))  # number of the smallest size of the group
     for number in range(1, len(size)):
         least = size[group[number - 1]]
         if size[number] - least <= ONE_SPEED * np.spacing(size[number]):
             group[number] = group[number - 1]
     # Replace the sizes in groups of several by the smallest one.
-    several = np.bincount(group, minlength=len(size)) > 1
-    found = group[place.reshape(-1)]
-    some = several[found]
-    u.put(own[some], Enclosure.exact(sign[some] * size[found[some]]))
+    has_several = np.bincount(group, minlength=len(size)) > 1
+    group_of_sphere = group[place.reshape(-1)]
+    changes = has_several[group_of_sphere]
+    u.put(turning[changes], Enclosure.exact(sign[changes] * size[group_of_sphere[changes]]))

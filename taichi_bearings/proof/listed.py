@@ -1,9 +1,9 @@
-"""The contacts of a network that is judged, in lists: where they are, which components make them slip, and what the
-proofs ask of them. `Grid` (slices.py) answers the same questions by slices where the contacts are those of a lattice.
+"""The contacts of a network that is judged, in lists: where they are, which components make them slip, and all that the
+proofs compute from them. `Grid` (slices.py) has the same methods for contacts of a lattice, by slices of arrays.
 
-Letters: R samples beside each other, with n spheres and m contacts in all; D = 2 or 3 dimensions, C = 1 or 3 components
-of the spins, each with a number k; n in products such as n x F is the unit normal from the first to the second sphere;
-u is spin times radius.
+Letters: R samples, one after the other, with n spheres and m contacts in all; D = 2 or 3 dimensions, C = 1 or 3
+components of the spins, each with a number k; n in products such as n x F is the unit normal from the first to the
+second sphere; u is spin times radius.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.enclosure import Enclosure, grouped_sum, in_cache, joined, length
 from taichi_bearings.scene.network import Network
 
-# Most that a stored normal, made from places and rounded, may differ from the true unit vector. Where the true normals
-# make minima tie, a contact bears all its friction, and may seem to have a rest of it left only because of this
-# difference; a proof that it rests has to leave at least this share of its limit.
+# Largest difference between a stored normal, which is rounded, and the true unit vector. If minima tie for the true
+# normals, a contact at its friction limit may seem to be below it by this share of it. So a proof that a contact rests
+# asks for a larger distance from the limit.
 ROUNDED_NORMAL = 8 * float(np.finfo(np.float64).eps)
 
 
 class Listed:
     """Contacts given by the indices of their spheres, for proofs: m contacts and n spheres of R samples in all, with C
-    components of spins. Nothing in it changes once it is made. Constants say what is known of such contacts and
-    which proofs are tried; lattices have a subclass (`Grid`), where they differ."""
+    components of spins. An object never changes. Class constants say what is known of such contacts and which proofs
+    are tried; they differ in the subclass for lattices (`Grid`)."""
 
     has_two_planes = False
-    """True if the driven spheres are two planes of a lattice: then a state without slip exists just where no contacts
-    join the planes."""
+    """True if the driven spheres are two planes of a lattice: then a state without slip exists if and only if no
+    contacts join the planes."""
     still_is_exact = False
     """True if contacts at rest have stored slips of exactly 0, which is only known of lattices."""
     rests_in_parts = True
@@ -38,7 +38,7 @@ class Listed:
     friction_is_at_limit = False
     """True if a minimum is only looked for where the stored friction of slipping contacts hardly misses its limit."""
     friction_is_rounded = True
-    """True if the stored friction of a contact may exceed its limit by rounding, as its components are rounded."""
+    """True if the rounding of its components may take the stored friction of a contact beyond its limit."""
 
     def __init__(self, place: np.ndarray, contact: np.ndarray, normal: np.ndarray, friction: np.ndarray) -> None:
         """Take arrays about n spheres in D dimensions and m contacts.
@@ -133,8 +133,8 @@ class Listed:
 
     def signs(self, feels: np.ndarray) -> list[np.ndarray]:
         """Return for each of C spin components signs (n,) of the n spheres, +1 or -1, opposite at spheres in contact,
-        like the spins of spheres that roll on each other. Spheres that contacts connect in a loop of an odd number
-        cannot have such signs: there, and in all that is connected with it, the signs mean nothing.
+        like the spins of spheres that roll on each other. In a connected part with a loop of an odd number of contacts
+        there are no such signs, and those returned mean nothing.
 
         feels : (C, m) mask, for each component which of m contacts connect spheres.
         """
@@ -221,8 +221,8 @@ class Listed:
         imposed : the imposed spins times radius and sign, an enclosure (n,).
         driven : (q,), indices of the driven spheres."""
         high, low, error = (part[driven] + 0.0 for part in imposed.parts)  # + 0.0 makes -0.0 to 0.0
-        own = np.where(error > 0, driven, -1)  # what is not known exactly equals nothing else
-        _, found = np.unique(np.stack([high, low, own]), axis=1, return_inverse=True)
+        inexact = np.where(error > 0, driven, -1)  # a spin that is not known exactly equals no other one
+        _, found = np.unique(np.stack([high, low, inexact]), axis=1, return_inverse=True)
         return np.asarray(found.reshape(-1))
 
     def signed(self, spin: Enclosure, sign: np.ndarray) -> Enclosure:
@@ -268,11 +268,11 @@ class Listed:
 
 @in_cache
 def largest_work(torque: Enclosure, reach: Enclosure, mask: np.ndarray) -> Enclosure:
-    """Return |torque| |reach| for each of n spheres, an enclosure (n,): the most power that a torque can take at spins
-    of at most this size.
+    """Return for each of n spheres the most power that a torque can take at spins up to a bound, an enclosure (n,):
+    |torque| |reach|.
 
     torque : (n,), torque over radius along one spin component; its largest possible size is taken.
-    reach : (n,), spin times radius.
+    reach : (n,), bound on the spin times radius.
     mask : (n,) mask of the spheres that count; the result is 0 for others."""
     return Enclosure.exact(np.where(mask, torque.most, 0.0)) * abs(reach)
 
@@ -307,8 +307,8 @@ def signs(ends: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarr
     ends : (2, q), the two nodes of each of q edges, numbers 0 to size - 1.
     size : number of nodes.
 
-    The nodes are doubled, u+ and u-, and each edge joins u+ with v- and u- with v+. In a part without odd loops both
-    copies stay apart, which gives the signs; with an odd loop u+ is connected with u-."""
+    Each node u has two copies, u+ and u-, and an edge between u and v joins u+ with v- and u- with v+. With an odd loop
+    in its part u+ is connected with u-. Else nodes whose + copies are connected have the same sign."""
     first, second = ends
-    copy = pieces(2 * size, np.append(first, second), np.append(second, first) + size).reshape(2, -1)
-    return copy.min(axis=0), copy[0] == copy[1], np.where(copy[0] > copy[1], -1.0, 1.0)
+    label = pieces(2 * size, np.append(first, second), np.append(second, first) + size).reshape(2, -1)
+    return label.min(axis=0), label[0] == label[1], np.where(label[0] > label[1], -1.0, 1.0)

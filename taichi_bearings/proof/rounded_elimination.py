@@ -80,13 +80,13 @@ class Samples:
 
 @dataclass(frozen=True)
 class Front:
-    """A group of unknowns that are eliminated together, in a dense matrix. Unknowns are named by their place in the
-    order of elimination.
+    """A group of unknowns that are eliminated together, in a dense matrix. Here the number of an unknown is its place
+    in the order of elimination.
 
-    first, own : the unknowns of the front are first ... first + own - 1, `own` of them.
+    first, own : the front eliminates the unknowns first ... first + own - 1, `own` of them.
     border : the later unknowns, ascending, that are coupled to these once all earlier ones are eliminated.
-    children : indices of the fronts that are eliminated before, and whose effect on later unknowns (their update) is
-        added to this one."""
+    children : indices of the earlier fronts whose update, their effect on the matrix of later unknowns, is added to
+        this front."""
 
     first: int
     own: int
@@ -95,8 +95,8 @@ class Front:
 
     @cached_property
     def places(self) -> np.ndarray:
-        """Places, in the order of elimination, of the rows of the dense matrix of the front: first its own unknowns,
-        then its border, the later unknowns to which they are coupled."""
+        """(own + border,), places in the order of elimination of the rows of the dense matrix of the front: first the
+        unknowns that it eliminates, then its border, the later unknowns to which they are coupled."""
         return np.append(np.arange(self.first, self.first + self.own), self.border)
 
 
@@ -168,13 +168,13 @@ class Elimination:
         self, shift: float | np.ndarray, least: float = 0.0, held: np.ndarray | None = None
     ) -> Iterator[tuple[Front, Columns | None]]:
         """Factorise the matrix less `shift` times the identity, and yield each front (group of unknowns that are
-        eliminated together) with its columns of the Cholesky factor; with None instead if a pivot is not positive. What
-        follows is then worthless for the sample of that front.
+        eliminated together) with its columns of the Cholesky factor, or with None if a pivot is not positive. All later
+        columns of that sample are then meaningless.
 
         shift : a number, or one for each sample, (R,).
         least : smallest pivot that is accepted if `held` is given; else not used.
-        held : None, or a mask (n,) in the order of elimination, which is written. Then each unknown whose pivot would
-            be `least` or less is taken out of the matrix, as if held at 0, and marked in the mask.
+        held : None, or a mask (n,) in the order of elimination, which is written: True for each unknown whose pivot
+            would be `least` or less. It is taken out of the matrix, as if its value were 0.
         """
         shifts = np.broadcast_to(shift, self.samples.count)[self.samples.of[self.order]]
         updates: dict[int, np.ndarray] = {}
@@ -268,11 +268,10 @@ class Elimination:
         return int(self.samples.of[self.order[front.first]])
 
     def dependent(self, least: float) -> np.ndarray:
-        """Return the mask (n,) of a few unknowns that depend on the others: once they are held at 0, all pivots are
-        above `least`. As far as doubles show there is one of them for each eigenvalue 0. All are True in samples whose
-        elimination fails even so. Nothing about it is proven.
+        """Return the mask (n,) of unknowns such that all pivots of the others are above `least`. But for rounding there
+        is one of them for each eigenvalue 0. All are True in samples whose elimination fails. Nothing is proven.
 
-        least : pivot up to which an unknown is taken to depend on those before.
+        least : pivot up to which an unknown is put into the mask.
         """
         held, failed = np.zeros(self.size, dtype=bool), np.zeros(self.samples.count, dtype=bool)
         for front, columns in self.columns(0.0, least, held):
@@ -291,7 +290,7 @@ class Elimination:
 
     def factorised_samples(self, shift: float = 0.0) -> Factor:
         """Return the Cholesky factor of the matrix less `shift` times the identity. If a pivot of a sample is not
-        positive, the mask `failed` of the result is True for this sample, and what is solved for it is worthless."""
+        positive, the mask `failed` of the result is True for this sample, and its part of the factor is meaningless."""
         found, failed = [], np.zeros(self.samples.count, dtype=bool)
         for front, columns in self.columns(shift):
             if columns is None:
@@ -304,9 +303,9 @@ class Elimination:
 
 
 def _refuse_disorder(order: np.ndarray, fronts: list[Front]) -> None:
-    """Raise RuntimeError if the order of elimination is no order at all. Each unknown has to be eliminated once. The
-    update of each front, which is what its elimination changes in the matrix of its border (later unknowns), has to go
-    into one later front that contains the whole border. Nothing else about the order matters for the proof.
+    """Raise RuntimeError if the order of elimination is not valid. It is valid if each unknown is eliminated once, and
+    if the update of each front, the change of the matrix of its border (later unknowns), is added to exactly one later
+    front, which contains the whole border.
 
     order : (n,), the unknown at each place of the order of elimination.
     fronts : all fronts, children before parents."""
@@ -348,7 +347,8 @@ class Factor:
 
     order : (n,), the unknown at each place of the order of elimination.
     columns : for each front, itself and its columns of L.
-    failed : (R,) mask of the samples that have no factor, since a pivot was not positive."""
+    failed : (R,) mask of the samples that have no factor, since a pivot was not positive. Results for their unknowns
+        are meaningless."""
 
     order: np.ndarray
     columns: list[tuple[Front, Columns]]

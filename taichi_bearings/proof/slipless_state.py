@@ -1,17 +1,17 @@
-"""Proof that a state exists in which no contact slips, by structure, never by how little some spins dissipate: theorem
-3.
+"""Proof that a state without any slip exists (theorem 3): from contacts and imposed spins, never from small slips.
 
-Samples of a lattice have one where nothing joins the two planes in a component in which they differ. Packings have one
-in three cases, which may meet in one packing. A *part* is what contacts join through free spheres.
+Samples of a lattice have one if, in each component in which the two planes are driven differently, no contacts that
+this component makes slip connect them. For packings there are three proofs, each for some *parts* of a packing, what
+contacts join through free spheres:
 
-1. Nothing that is driven touches the part: it can be at rest.
-2. Components do not mix (discs, normals along the axes), and in no component contacts join driven spheres that ask for
-   different spins, or a driven sphere that turns to a loop of an odd number of contacts.
-3. Components mix, and each sphere either belongs to a part in which spins can make any slips whatever (the rows of the
-   matrix of slips are independent, by a proven floor), or to one in which spins are found, in fractions, that roll
-   exactly.
+1. No driven sphere touches the part: it can be at rest.
+2. Components do not mix (discs, normals along the axes), and in no component contacts join driven spheres with
+   different imposed spins, or a driven sphere that turns to a loop of an odd number of contacts.
+3. Components mix, and spins can give any slips to the contacts (the rows of the matrix of slips are independent, by a
+   proven floor), or spins without slip are found in exact fractions.
 
-Normals and imposed spins are the stored doubles. Where normals are rounded that have to agree, none of this holds.
+Normals and imposed spins are the stored doubles. If a motion without slip needs special normals and these are rounded,
+nothing is proven.
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ def _planes_are_separate(network: JudgedNetwork) -> np.ndarray:
 
 
 def imposed_exactly(network: JudgedNetwork) -> bool:
-    """Return True if every imposed spin times radius is known as an exact sum of two doubles: always, unless some
-    imposed speed other than 0 is so small, beside the fastest, that products underflow.
+    """Return True if every imposed spin times radius is known as an exact sum of two doubles: always, unless an imposed
+    speed other than 0 is so much slower than the fastest that products underflow.
 
     network : samples of a lattice or a packing, with what is imposed on them.
     """
@@ -94,27 +94,26 @@ def _rolls_exactly(network: JudgedNetwork) -> bool:
     network : a single sample of a packing, with normals in any direction."""
     from taichi_bearings.proof.exact_motions import ExactMotions  # which only packings need
 
-    # Leave out spheres that can make any slips, then contacts that exact motions let roll. Parts with other contacts
-    # are tried in fractions.
+    # Leave out spheres whose spins can give any slips to their contacts, then contacts that roll in exact motions.
     left = replace(network, rolling=rolling(network))
     if not left.counts.any():
         return True
     number = np.full((len(left.free), 3), -1)
-    moves = left.reached[:, None] & ~turning_freely(left)
-    number[moves] = np.arange(moves.sum())
-    open_ = left.counts & ~ExactMotions.of(left, number, left.counts).contacts
+    is_unknown = left.reached[:, None] & ~turning_freely(left)
+    number[is_unknown] = np.arange(is_unknown.sum())
+    unproven = left.counts & ~ExactMotions.of(left, number, left.counts).contacts
+    # Parts with other contacts are tried in fractions.
     first, second = left.graph.contact[:, left.counts]
     inner = left.free[first] & left.free[second]
-    part = pieces(len(left.free), first[inner], second[inner])[
-        np.where(left.free[left.graph.contact[0]], *left.graph.contact)
-    ]
-    return all(_is_consistent(left, left.counts & (part == own)) for own in np.unique(part[open_]))
+    part_of_sphere = pieces(len(left.free), first[inner], second[inner])
+    part = part_of_sphere[np.where(left.free[left.graph.contact[0]], *left.graph.contact)]
+    return all(_is_consistent(left, left.counts & (part == label)) for label in np.unique(part[unproven]))
 
 
 def _is_consistent(network: JudgedNetwork, contacts: np.ndarray) -> bool:
-    """Return True if spins exist at which given contacts all roll exactly: by Gaussian elimination in fractions,
-    without any rounding. Return False if no such spins exist, and also if the contacts have more than MOST_IN_FRACTIONS
-    free spheres, which is not tried.
+    """Return True if spins exist at which given contacts all roll exactly, by Gaussian elimination in fractions without
+    any rounding. Return False if no such spins exist, or if the contacts have more than MOST_IN_FRACTIONS free spheres,
+    which is not tried.
 
     network : a packing with E contacts.
     contacts : (E,) mask of the contacts; free spheres connect all of them."""
@@ -126,6 +125,7 @@ def _is_consistent(network: JudgedNetwork, contacts: np.ndarray) -> bool:
     pivots = dict[int, dict[int, Fraction]]()  # by unknown, an equation that is 1 there and 0 at the pivots before
     for contact in np.flatnonzero(contacts):
         for row in _equations(network, int(contact), unknown):
+            # Subtract multiples of the equations before, until the row is 0 at all of their pivots.
             for column, equation in pivots.items():
                 factor = row.get(column, 0)
                 if factor:
@@ -134,15 +134,15 @@ def _is_consistent(network: JudgedNetwork, contacts: np.ndarray) -> bool:
             first = next((c for c, value in row.items() if c != IMPOSED and value), None)
             if first is not None:
                 pivots[first] = {c: value / row[first] for c, value in row.items() if value}
-            elif row.get(IMPOSED, 0):
+            elif row.get(IMPOSED, 0):  # the equation says that a constant other than 0 is 0
                 return False
     return True
 
 
 def _equations(network: JudgedNetwork, contact: int, unknown: dict[int, int]) -> list[dict[int, Fraction]]:
-    """Return the three equations (u_i + u_j) x n = 0 that say that a contact rolls, with exact coefficients. Each is a
-    dictionary: coefficients by the number of the unknown spin component, and the constant term, from imposed spins,
-    under the key IMPOSED.
+    """Return the three components of the equation (u_i + u_j) x n = 0 of a contact that rolls, with exact coefficients,
+    for the spins times radius of both spheres and the normal. Each is a dictionary: coefficients by the number of the
+    unknown spin component, and the constant term, from imposed spins, under the key IMPOSED.
 
     network : a packing, with the normals of its contacts and the imposed spins.
     contact : index of the contact.
