@@ -1,10 +1,10 @@
 """Domains that can move on the line between two others without a change of the power: a part of theorem 9.
 
 What is proven. Two sets of contacts, which slip in both components, pull a sphere with the same friction in opposite
-directions. If it moves along this line, what one set loses the other one gains. Such a sphere is a *link* here, and
-moves with all that contacts without slip join to it: a slipless domain in the first component, and another one in the
-second. Each of these may have further links, which have to move along their own lines then, and so on. This file finds
-all domains that move together in that way. (tied_minima.py has the other words.)
+directions. If it moves along this line, one set dissipates as much less as the other one more. Such a sphere is a
+*link* here. It moves with all spheres that contacts without slip join to it: a slipless domain in the first component,
+and another one in the second. Each of these may have further links, which then have to move along their own lines, and
+so on. This file finds all domains that move together in that way. (tied_minima.py defines the other words.)
 
 Drawing. Two links, spheres 1 and 2, are joined in the first component alone. Each lies between two other spheres,
 which are driven::
@@ -19,8 +19,9 @@ Symbols
     node : a slipless domain of one component, without a driven sphere. v : unit vector along the slips of one set of a
         link, with the sign with which they pull; v' : that of the other set. w : the friction of either set.
 
-The proof. Let all turning contacts at some nodes be those of links, and let links connect these nodes to a tree. Let
-all exactly known pulls on each node cancel. One node, the root, is held; all others are in balance at the minimum u*.
+The proof. Let links connect some nodes to a tree, and let all turning contacts at these nodes be contacts of the links.
+Let all exactly known pulls on each node cancel. One node, the root, is held; all others are in balance at the minimum
+u*.
 1. A node with one link is pulled by w (v + v') along its component. That is 0, so v and v' are opposite along it. As
    both are unit vectors, they are opposite or alike along the other component; signs say that they are opposite there.
    So v' = -v, and the link pulls on no node at all. The same follows for one link after the other, towards the root.
@@ -45,12 +46,13 @@ Node = tuple[int, int]  # a component of the spins (0 or 1), and the label of a 
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """A group of spheres that turn as one in both components, between two others that pull it with the same friction.
+    """A group of spheres that turn as one in both components, between two other groups that pull it with the same
+    friction: each by a set of contacts, which slip in both components.
 
     nodes : the slipless domain of the group in either component.
     contacts : (q,), the contacts of both sets, as indices in the arrays of :class:`Pulls`.
-    opposite : for either component True if the contacts of one set slip ahead along it, and those of the other behind,
-        in the stored spins.
+    opposite : for either component True if the group is faster than all spheres of one set and slower than all of the
+        other, in the stored spins.
     size : for either component the median of the slips of the contacts along it, in the stored spins."""
 
     nodes: tuple[Node, Node]
@@ -64,7 +66,8 @@ class BetweenTwo:
     """The domains (groups of spheres that turn as one) that can move along lines between others, in m links.
 
     labels : for either component their labels in `Pulls.slipless_domain`.
-    held : for either component those of them that are held where they are, so that one minimum is left.
+    held : for either component those of these labels whose domains are held where they are, so that one minimum is
+        left.
     slot : (m,), for each link the component (0 or 1) along which its slips must not change their signs.
     sets : m arrays with the contacts of the links, as indices in the arrays of :class:`Pulls`.
     undecided : (n,) mask of the contacts of `Pulls` of which no state is proven: those in `sets`, and those at such a
@@ -83,20 +86,21 @@ class BetweenTwo:
 
         pulls : the n contacts that bear all their friction.
         contacts : slips of those of them that slip."""
-        links = _closed(pulls, _links(pulls, contacts, _quiet(pulls)))
+        links = _closed(pulls, _links(pulls, contacts, _where_known_pulls_cancel(pulls)))
         held: tuple[list[int], list[int]] = ([], [])
         labels: tuple[list[int], list[int]] = ([], [])
         slots, sets, undecided = [], [], np.zeros(len(pulls.own), dtype=bool)
         for tree in _trees(links):
             root = _farthest(tree)
-            ways = _ways(tree, root)
-            if not all(link.opposite[slot] for link, slot in ways):
+            towards_root = _ways(tree, root)
+            if not all(link.opposite[slot] for link, slot in towards_root):
                 continue
             held[root[0]].append(root[1])
-            for link, slot in ways:
+            for link, slot in towards_root:
                 slots.append(slot)
                 sets.append(link.contacts)
                 undecided[link.contacts] = True
+            # Contacts that slip along one component alone, at a node that moves.
             for slot, label in dict.fromkeys(node for link in tree for node in link.nodes):
                 labels[slot].append(label)
                 changes = pulls.felt[slot] & ~pulls.turned_by[slot]
@@ -104,17 +108,17 @@ class BetweenTwo:
         return cls(_arrays(labels), _arrays(held), np.array(slots, dtype=int), sets, undecided)
 
     def lie_between(self, pulls: Pulls, contacts: Slipping, relative_change: np.ndarray) -> bool:
-        """Return True if each of these domains (groups of spheres that turn as one) is proven to lie between its two
-        neighbours at the minimum as well. It does so in the stored spins. The proof is that, along the component in
-        which the domain is held, none of its slips changes its sign from there to the minimum.
+        """Return True if each link (spheres between two groups that pull them in opposite directions) is proven to lie
+        between its two neighbours at the minimum, too. It does so in the stored spins. The proof is that, along the
+        component in `slot`, no slip of its contacts changes its sign from there to the minimum.
 
-        pulls : the contacts that bear all their friction, with the signs of the slips in the stored spins.
+        pulls : the contacts whose friction is at its limit, with the signs of the slips in the stored spins.
         contacts : the slipping contacts at spins close to the minimum.
         relative_change : (slipping contacts,), bound on |slip at the minimum - slip| / |slip|.
         """
-        for own, slot in zip(self.sets, self.slot, strict=True):
-            slip, change = contacts.difference[slot].at(own), relative_change[own] * contacts.size.at(own).most * UP
-            if not ((np.sign(slip.high) == pulls.sign[slot, own]) & (slip.least > change)).all():
+        for some, slot in zip(self.sets, self.slot, strict=True):
+            slip, change = contacts.difference[slot].at(some), relative_change[some] * contacts.size.at(some).most * UP
+            if not ((np.sign(slip.high) == pulls.sign[slot, some]) & (slip.least > change)).all():
                 return False
         return True
 
@@ -124,55 +128,56 @@ def _arrays(lists: tuple[list[int], list[int]]) -> tuple[np.ndarray, np.ndarray]
     return np.array(lists[0], dtype=int), np.array(lists[1], dtype=int)
 
 
-def _quiet(pulls: Pulls) -> np.ndarray:
+def _where_known_pulls_cancel(pulls: Pulls) -> np.ndarray:
     """Return the mask (2, spheres), by component, of the spheres in slipless domains without a driven sphere on which
-    the exactly known pulls cancel.
+    the exactly known forces cancel.
 
-    pulls : the contacts that bear all their friction."""
+    pulls : the contacts whose friction is at its limit."""
     cancels = [pulls.known_pulls_cancel_at(label, slot)[label] for slot, label in enumerate(pulls.slipless_domain)]
     free = [label >= pulls.imposed_labels(pulls.slipless_domain, s) for s, label in enumerate(pulls.slipless_domain)]
     found: np.ndarray = np.array(cancels) & np.array(free)
     return found
 
 
-def _links(pulls: Pulls, contacts: Slipping, quiet: np.ndarray) -> list[Link]:
-    """Return all links: groups of spheres that turn as one in both components, and that contacts which slip in both
-    connect with just two others, with the same friction in all.
+def _links(pulls: Pulls, contacts: Slipping, can_be_linked: np.ndarray) -> list[Link]:
+    """Return all links: groups of spheres that turn as one in both components, which contacts that slip in both connect
+    with just two other groups, with the same total friction limit.
 
-    pulls : the contacts that bear all their friction.
+    pulls : the contacts whose friction is at its limit.
     contacts : slips of those of them that slip.
-    quiet : (2, spheres) mask of the spheres that links may have in either component."""
+    can_be_linked : (2, spheres) mask of the spheres that links may have in either component."""
     label, found = pulls.same_in_both, []
     # contacts that slip in both components, between two domains in either
-    spans = pulls.in_s & pulls.turned_by.all(axis=0)
-    spans &= pulls.apart(pulls.slipless_domain, 0) & pulls.apart(pulls.slipless_domain, 1)
+    slips_in_both = pulls.in_s & pulls.turned_by.all(axis=0)
+    slips_in_both &= pulls.apart(pulls.slipless_domain, 0) & pulls.apart(pulls.slipless_domain, 1)
     # groups that such contacts join to two others
-    ends = label[np.stack([pulls.lower[spans], pulls.upper[spans]])]
+    ends = label[np.stack([pulls.lower[slips_in_both], pulls.upper[slips_in_both]])]
     pairs = np.unique(np.concatenate([ends, ends[::-1]], axis=1), axis=1)
-    inner = np.bincount(pairs[0], minlength=int(label.max()) + 1) == 2
-    spheres = np.unique(label, return_index=True)[1][inner]
-    for sphere in spheres[quiet[:, spheres].all(axis=0)]:
+    has_two = np.bincount(pairs[0], minlength=int(label.max()) + 1) == 2
+    spheres = np.unique(label, return_index=True)[1][has_two]
+    for sphere in spheres[can_be_linked[:, spheres].all(axis=0)]:
         first, second = (int(pulls.slipless_domain[slot, sphere]) for slot in range(2))
-        chosen = np.flatnonzero(spans & pulls.crossing(label, label[sphere]))
-        up = label[pulls.upper[chosen]] == label[sphere]
-        other = label[np.where(up, pulls.lower[chosen], pulls.upper[chosen])]
-        # both sets must have the same friction in all, exactly
-        way = np.where(other == other[0], 1.0, -1.0)
-        if math.fsum((way[:, None] * pulls.coefficient[chosen]).ravel().tolist()) == 0.0:
+        chosen = np.flatnonzero(slips_in_both & pulls.crossing(label, label[sphere]))
+        is_upper = label[pulls.upper[chosen]] == label[sphere]
+        other = label[np.where(is_upper, pulls.lower[chosen], pulls.upper[chosen])]
+        # The friction limits of one set less those of the other have to be exactly 0.
+        sign_of_set = np.where(other == other[0], 1.0, -1.0)
+        if math.fsum((sign_of_set[:, None] * pulls.coefficient[chosen]).ravel().tolist()) == 0.0:
             parts = [part.at(chosen) for part in contacts.difference]
-            ahead = [np.unique(np.sign(part.high) * np.where(up, 1, -1) * way) for part in parts]
+            # the sign of (spin of the link less that of the other sphere), times that of the set: opposite if all agree
+            signs = [np.unique(np.sign(part.high) * np.where(is_upper, 1, -1) * sign_of_set) for part in parts]
             sizes = [float(np.median(part.most)) for part in parts]
-            opposite = len(ahead[0]) == 1, len(ahead[1]) == 1
+            opposite = len(signs[0]) == 1, len(signs[1]) == 1
             found.append(Link(((0, first), (1, second)), chosen, opposite, (sizes[0], sizes[1])))
     return found
 
 
 def _closed(pulls: Pulls, links: list[Link]) -> list[Link]:
-    """Return those links both of whose nodes are pulled by links alone: all turning contacts at a node are those of
-    such links.
+    """Return a largest set of the given links such that all turning contacts at their nodes (contacts whose slip
+    changes its direction if the node moves) are contacts of links of the set.
 
-    pulls : the contacts that bear all their friction.
-    links : candidates."""
+    pulls : the contacts whose friction is at its limit.
+    links : candidates. A node is a slipless domain of one component."""
     turning = {
         (slot, label): set(np.flatnonzero(pulls.turned_at(label, slot)).tolist())
         for slot, label in {node for link in links for node in link.nodes}
@@ -182,17 +187,17 @@ def _closed(pulls: Pulls, links: list[Link]) -> list[Link]:
         for link in links:
             for node in link.nodes:
                 at.setdefault(node, set()).update(link.contacts.tolist())
-        closed = [link for link in links if all(at[node] == turning.get(node) for node in link.nodes)]
-        if len(closed) == len(links):
-            return closed
-        links = closed
+        kept = [link for link in links if all(at[node] == turning.get(node) for node in link.nodes)]
+        if len(kept) == len(links):
+            return kept
+        links = kept
 
 
 def _trees(links: list[Link]) -> list[list[Link]]:
-    """Return the trees that links make which connect nodes, each as a list of its links in an order in which every link
-    but the first shares a node with one before it. What has a loop is left out.
+    """Return the trees of a graph, each as a list of its links in an order in which every link but the first shares a
+    node with one before it. Connected parts with a loop are left out.
 
-    links : the links."""
+    links : the edges of the graph; each connects two nodes, a slipless domain of either component."""
     found, left = [], links
     while left:
         nodes, tree = set(left[0].nodes), [left[0]]
@@ -207,7 +212,8 @@ def _trees(links: list[Link]) -> list[list[Link]]:
 
 
 def _farthest(tree: list[Link]) -> Node:
-    """Return the node of a tree that moves farthest if its links move along their lines.
+    """Return the node of a tree that moves farthest if its links move along their lines. (A node is a slipless domain
+    of one component; a link connects one of either component, and moves along the direction of its slips.)
 
     tree : its links, every one but the first shares a node with one before it."""
     moves = {tree[0].nodes[0]: 1.0}

@@ -1,4 +1,6 @@
-"""Contacts that bear all their friction, and the groups of spheres that move together from one minimum to another."""
+"""Contacts whose friction is at its limit, with the groups of spheres that move together from one minimum to another
+(theorem 9; tied_minima.py has the proof and a drawing of the groups).
+"""
 
 from __future__ import annotations
 
@@ -15,28 +17,27 @@ EPS = np.finfo(np.float64).eps  # distance from 1 to the next double
 
 @dataclass(frozen=True)
 class Pulls:
-    """The n contacts of one sample that bear all their friction, and the direction of the force (*pull*) of each along
-    the two spin components that matter. These are numbered 0 and 1, in arguments `slot` and on the first axis of arrays
-    (2, ...).
+    """The n contacts of one sample whose friction is at its limit, and the direction of the force (*pull*) of each
+    along the two spin components that make contacts slip. These are numbered 0 and 1, in arguments `slot` and on the
+    first axis of arrays (2, ...).
 
-    First come the contacts that slip (S), then those that do not slip (C). T are the contacts that neither slip nor
-    bear all their friction. A *domain* is a group of spheres that some set of contacts joins in one component.
+    First come the contacts that slip (S), then those that do not slip (C). T are the contacts below their limit. A
+    *domain* is a group of spheres that some set of contacts joins in one component, so that they turn as one.
 
     own : (n,), indices of the contacts among all of the network.
     lower, upper : (n,), indices of their two spheres.
     felt : (2, n) mask, True where a component of the spins makes the contact slip.
     sign : (2, n), sign of the slip along each component: of the spin at `upper` less that at `lower`, times signs that
-        differ between neighbours. For C it is the sign of the slip that its friction would go with, and 0 along the
-        component in which it bears nothing.
-    oblique : (n,) mask of those contacts of C that bear friction along both components. In which direction they would
-        begin to slip is known from balance alone (oblique_limits.py).
+        differ between neighbours. For C it is the sign of the slip that its friction would go with, and 0 along a
+        component in which it has no friction.
+    oblique : (n,) mask of those contacts of C that have friction along both components. Only the balance of forces
+        says in which direction they would begin to slip (oblique_limits.py).
     coefficient : (n, p), friction limits in exact proportions: that of a contact is the exact sum of its p numbers.
     in_s : (n,) mask of the contacts of S.
     slipless_domain : (2, spheres), by component the label of the domain of each sphere if T and C join spheres. The
         smallest labels, 0, 1, ..., are those of domains with a driven sphere, which are imposed.
-    firm_domain : (2, spheres), such labels if T alone joins spheres.
-    locked_domain : (2, spheres), such labels if T joins spheres, and those of C that bear nothing along the
-        component.
+    firm_domain : (2, spheres), the same with T alone joining spheres.
+    locked_domain : (2, spheres), the same with T joining spheres, and those of C without friction along the component.
     driven : (spheres,) mask of the driven spheres."""
 
     own: np.ndarray
@@ -69,8 +70,8 @@ class Pulls:
         return found
 
     def touches(self, label: np.ndarray, value: int) -> np.ndarray:
-        """Return the mask (n,) of the contacts whose slip may change when one domain moves: slipping contacts of which
-        exactly one sphere is in it, and contacts without slip of which any sphere is in it.
+        """Return the mask (n,) of the contacts whose slip may change when one domain moves: slipping contacts with
+        exactly one sphere in it, and contacts without slip with any sphere in it.
 
         label : (spheres,), the label of the domain (group of spheres that move together) of each sphere.
         value : the label of the domain that moves."""
@@ -81,16 +82,16 @@ class Pulls:
     @cached_property
     def turned_by(self) -> np.ndarray:
         """(2, n) mask, for either component True for a *turning* contact: it slips along the other component, or would
-        begin to, so that its slip has another direction as soon as one of its spheres moves in this component."""
+        begin to, so that its slip changes its direction as soon as one of its spheres moves in this component."""
         both = self.felt.all(axis=0)
-        turning = [both & self.apart(self.slipless_domain, 1), both & self.apart(self.slipless_domain, 0)]
-        found: np.ndarray = np.array(turning) | self.oblique
+        slips_along_other = [both & self.apart(self.slipless_domain, 1), both & self.apart(self.slipless_domain, 0)]
+        found: np.ndarray = np.array(slips_along_other) | self.oblique
         return found
 
     @cached_property
     def uncertain(self) -> np.ndarray:
-        """(2, n) mask, for either component True for a contact that may exert friction along it of which the size is
-        not exactly known, as it exerts some along the other component, too."""
+        """(2, n) mask, for either component True for a contact whose friction along it is not known exactly, since it
+        may have friction along the other component, too."""
         slips = [self.in_s & self.turned_by[slot] & self.apart(self.slipless_domain, slot) for slot in range(2)]
         found: np.ndarray = np.array(slips) | self.oblique
         return found
@@ -104,7 +105,8 @@ class Pulls:
         return found
 
     def turned_at(self, domain: int, slot: int) -> np.ndarray:
-        """Return the mask (n,) of the turning contacts that lead from a domain to another one.
+        """Return the mask (n,) of the contacts between a domain and others whose slips change their direction if it
+        moves, as they slip along both components.
 
         domain : label of the domain in `slipless_domain`, for component `slot` (0 or 1)."""
         found: np.ndarray = self.in_s & self.turned_by[slot] & self.crossing(self.slipless_domain[slot], domain)
@@ -112,16 +114,16 @@ class Pulls:
 
     @cached_property
     def welded_slipless(self) -> np.ndarray:
-        """(2, spheres), for either component the number of the welded domain of each sphere, where slipless domains are
-        welded: 0 for a welded domain with a driven sphere, then 1, 2, ... (:meth:`_welded_domains` says what that is).
-        """
+        """(2, spheres), for either component the number of the welded domain of each sphere: slipless domains (joined
+        by contacts without slip) that have to move together from one minimum to another, since otherwise the slip of a
+        contact would change its direction. It is 0 for a welded domain with a driven sphere, then 1, 2, ..."""
         return np.array([self._welded_domains(self.slipless_domain, slot) for slot in range(2)])
 
     @cached_property
     def welded_locked(self) -> np.ndarray:
-        """(2, spheres), for either component the number of the welded domain of each sphere, where locked domains are
-        welded: 0 for a welded domain with a driven sphere, then 1, 2, ... (:meth:`_welded_domains` says what that is).
-        """
+        """(2, spheres), for either component the number of the welded domain of each sphere: `locked_domain`s that have
+        to move together from one minimum to another, since otherwise the slip of a contact would change its direction.
+        It is 0 for a welded domain with a driven sphere, then 1, 2, ..."""
         return np.array([self._welded_domains(self.locked_domain, slot) for slot in range(2)])
 
     def _welded_domains(self, label: np.ndarray, slot: int) -> np.ndarray:
@@ -140,10 +142,11 @@ class Pulls:
         # all domains with a driven sphere count as joined, as none of them can move; label 0 is one of them
         imposed = np.arange(self.imposed_labels(label, slot))
         first, second = np.append(first, 0 * imposed), np.append(second, imposed)
-        joined = pieces(int(domain.max()) + 1, first, second)
-        found = np.zeros(int(joined.max()) + 1, dtype=bool)
-        found[0], found[joined[domain]] = True, True
-        of_spheres: np.ndarray = (np.cumsum(found) - 1)[joined][domain]
+        welded = pieces(int(domain.max()) + 1, first, second)
+        # number those that occur from 0
+        occurs = np.zeros(int(welded.max()) + 1, dtype=bool)
+        occurs[0], occurs[welded[domain]] = True, True
+        of_spheres: np.ndarray = (np.cumsum(occurs) - 1)[welded][domain]
         return of_spheres
 
     @cached_property
@@ -158,7 +161,7 @@ class Pulls:
         up to 0 on the spheres with this label. It is True for labels without any such force.
 
         The force of a contact is known, plus or minus mu F_n, if it slips along this component alone (or does not slip,
-        but bears all its friction along it). Contacts within one domain pull it both ways and are left out.
+        but is at its limit along it alone). Contacts within one domain are left out, as their two forces cancel.
 
         owner : (spheres,), the label of each sphere, such as the number of its domain.
         """
@@ -166,12 +169,12 @@ class Pulls:
             self.in_s, self.apart(self.slipless_domain, slot), self.apart(self.firm_domain, slot)
         )  # fmt: skip
         pull = self.sign[slot, exact, None] * self.coefficient[exact]
-        of = np.repeat(np.concatenate([owner[self.upper[exact]], owner[self.lower[exact]]]), pull.shape[1])
+        label_of = np.repeat(np.concatenate([owner[self.upper[exact]], owner[self.lower[exact]]]), pull.shape[1])
         values, size = np.concatenate([pull, -pull]).ravel(), int(owner.max()) + 1
-        total, sizes, terms = (np.bincount(of, v, size) for v in (values, np.abs(values), np.ones_like(values)))
-        # A sum in doubles is off by less than its terms times EPS times the sum of their sizes, so that most labels
-        # need no exact sum.
+        total, sizes, terms = (np.bincount(label_of, v, size) for v in (values, np.abs(values), np.ones_like(values)))
+        # The error of a sum in doubles is below the number of terms times EPS times the sum of their sizes. So only
+        # sums that are no larger need an exact sum.
         found: np.ndarray = np.abs(total) <= terms * EPS * sizes
         for label in np.flatnonzero(found & (terms > 0)).tolist():
-            found[label] = math.fsum(values[of == label].tolist()) == 0.0
+            found[label] = math.fsum(values[label_of == label].tolist()) == 0.0
         return found
