@@ -1,33 +1,35 @@
-"""Contacts that rest although they bear all their friction, along both spin components: a part of theorem 9.
+"""Contacts that rest although their friction is at its limit, with friction along both spin components: a part of
+theorem 9.
 
-What is proven. A contact of C with friction along both components is called *oblique* here (tied_minima.py has the
-other words). Its friction is no exact number, as that of other contacts of C is. But often a domain between two others
-says what it is: this file finds such contacts, the direction of their friction, and how far they may begin to slip.
+What is proven. A contact of C with friction along both components is called *oblique* here (tied_minima.py defines the
+other words). Its friction is no exactly known number, unlike that of other contacts of C. But it often follows from the
+balance of forces on a pair of domains between two others. This file finds the direction of such friction, and whether
+these contacts may begin to slip.
 
 Example. A free sphere lies between the bottom, past which it slips, and a sphere at rest above it. Both contacts have
-friction 1. Contacts with four further spheres pull it by 1 and -1 along x and by 1 and -1 along y. So the upper contact
-has to bear exactly the opposite of the friction of the lower one: all its friction, in a direction that is as little a
-round number as that of the slip. It would begin to slip if the sphere moved along the slip of the lower contact. But
-one of the four others, which bears all its friction and rests, would slip backwards then. So nothing moves.
+friction 1. Contacts with four further spheres pull it by 1 and -1 along x and by 1 and -1 along y. So the friction of
+the upper contact is exactly the opposite of that of the lower one: it is at its limit, in the direction of a slip. The
+upper contact would begin to slip if the sphere moved along the slip of the lower one. But one of the four others, which
+rests at its limit, would slip backwards then. So nothing moves.
 
 Symbols
     a : a slipping contact. n_a : unit vector along its slip at the minimum u*. o : +1 for a contact whose upper sphere
         is in a domain, -1 if the lower one is.
-    A pair of domains, one of each component, is *between* if the same contacts with both components of friction act on
-    either, and on no other part of it.
+    between : said of a pair of domains, one of each component, if the contacts with both components of friction at
+        either domain are the same, and all of them act on spheres of both domains.
 
 The proof
-1. *Friction.* In a pair of firm domains that are between, let the contacts of one set slip alike: o n_a is one vector v
-   for all of them, or their friction is already known to be mu F_n o v. Let the others be oblique, and let both sets
-   have the same friction in all. Let all exactly known pulls on either domain cancel. Then friction - o v mu F_n of the
-   oblique contacts balances the pair exactly, and it is at the limit. It is one choice of the friction of u*, which the
-   rest of the proof has to put in balance elsewhere (`balance`). A chain of such pairs is solved one after the other.
+1. *Friction.* Take a pair of firm domains that is between. Let the contacts of one set slip alike: o n_a is the same
+   vector v for all of them, or their friction is already known to be mu F_n o v. Let the others be oblique, and let
+   both sets have the same total friction limit. Let all exactly known pulls on either domain cancel. Then the friction
+   -o v mu F_n of the oblique contacts balances the pair exactly, and it is at the limit. It is one choice of the
+   friction of u*; `not_balanced` checks the balance elsewhere. A chain of such pairs is solved one after the other.
 2. *Slip.* This friction is optimal. So at every minimum an oblique contact slips along it, forward, or not at all.
 3. *Motion.* A pair of locked domains that is between, with these contacts alone, can move along v: no slip of S and
-   none of these contacts turns. It moves by -lambda v against what it would do with the domain beside the oblique
-   contacts, with lambda >= 0, as they do not slip backwards.
-4. *Nothing moves* if other contacts of C exclude lambda > 0: if, along one component, a chain of them, each of which
-   may only slip forward, says that the pair cannot be behind its neighbour (`blocked`).
+   none of these contacts turns. Relative to the domain beside the oblique contacts it moves by -lambda v, with
+   lambda >= 0, as these do not slip backwards.
+4. *Nothing moves* if other contacts of C exclude lambda > 0: a chain of them along one component, each of which may
+   only slip forward, from which it follows that the pair cannot move against its neighbour (`blocked`).
 """
 
 from __future__ import annotations
@@ -48,8 +50,9 @@ from taichi_bearings.proof.pulls import Pulls
 
 @dataclass(frozen=True)
 class Between:
-    """A pair of domains, one of each spin component, on which slipping contacts and oblique ones pull with the same
-    friction in opposite directions. (Oblique contacts rest, and bear all their friction along both components.)
+    """A pair of domains, one of each spin component, which slipping contacts and oblique ones pull with the same
+    friction in opposite directions. (Oblique contacts rest at their friction limit, with friction along both
+    components. A domain is a group of spheres that turn as one in a component.)
 
     sphere : a sphere of both domains.
     contacts : (q,), the contacts of both sets, as indices in the arrays of :class:`Pulls`.
@@ -65,7 +68,8 @@ class Between:
 
 @dataclass(frozen=True)
 class ObliqueLimits:
-    """The friction of all oblique contacts of one sample: they rest, and bear all their friction along both components.
+    """The friction of all oblique contacts of one sample: those that rest at their friction limit, with friction along
+    both components.
 
     guide : (n,), for each of the n contacts of `Pulls` that is oblique a slipping one, as an index; -1 for others.
     way : (n,), +1 or -1 for oblique contacts: the friction of each is mu F_n times `way` times the unit vector along
@@ -80,79 +84,80 @@ class ObliqueLimits:
     def of(cls, pulls: Pulls) -> ObliqueLimits | None:
         """Return the friction of all oblique contacts (step 1 of the proof); None if that of any is not found.
 
-        pulls : the n contacts that bear all their friction."""
+        pulls : the n contacts whose friction is at its limit."""
         found = cls(np.where(pulls.in_s, np.arange(len(pulls.own)), -1), pulls.in_s.astype(int), [])
-        open_ = np.flatnonzero(pulls.oblique)
-        alike = _alike(pulls) if len(open_) else (found.guide, found.way)
-        known = [pulls.known_pulls_cancel_at(pulls.firm_domain[slot], slot) for slot in range(2)] if len(open_) else []
-        while len(open_):
-            spheres = np.unique(np.concatenate([pulls.lower[open_], pulls.upper[open_]])).tolist()
-            solved = [found._solves(pulls, sphere, alike, known) for sphere in spheres]
+        unsolved = np.flatnonzero(pulls.oblique)
+        alike = _alike(pulls) if len(unsolved) else (found.guide, found.way)
+        cancel = [pulls.known_pulls_cancel_at(pulls.firm_domain[k], k) for k in range(2)] if len(unsolved) else []
+        while len(unsolved):
+            spheres = np.unique(np.concatenate([pulls.lower[unsolved], pulls.upper[unsolved]])).tolist()
+            solved = [found._solves(pulls, sphere, alike, cancel) for sphere in spheres]
             if not any(solved):
                 return None
-            open_ = open_[found.guide[open_] < 0]
+            unsolved = unsolved[found.guide[unsolved] < 0]
         return found
 
-    def _solves(self, pulls: Pulls, sphere: int, alike: tuple[np.ndarray, np.ndarray], known: list[np.ndarray]) -> bool:
-        """Find the friction of the oblique contacts at one pair of firm domains and note it in `guide`, `way` and
-        `between`. Return True if that was possible.
+    def _solves(
+        self, pulls: Pulls, sphere: int, alike: tuple[np.ndarray, np.ndarray], cancel: list[np.ndarray]
+    ) -> bool:
+        """Find the friction of the oblique contacts at one pair of firm domains (groups of spheres that contacts below
+        their limits join) and write it to `guide`, `way` and `between`. Return True if it was found.
 
-        pulls : the n contacts that bear all their friction.
+        pulls : the n contacts whose friction is at its limit.
         sphere : a sphere of both domains.
-        alike : for each slipping contact the first one that slips alike, (n,), and +1 or -1, (n,), by which the slips
-            differ.
-        known : by component the mask of the firm domains at which exactly known pulls cancel."""
-        firm = [int(of[sphere]) for of in pulls.firm_domain]
+        alike : for each slipping contact the first one with the same slip but for a sign, (n,); and this sign, (n,).
+        cancel : by component the mask of the firm domains at which exactly known pulls cancel."""
+        firm = [int(label[sphere]) for label in pulls.firm_domain]
         sets = [np.flatnonzero(pulls.uncertain[s] & pulls.crossing(pulls.firm_domain[s], firm[s])) for s in range(2)]
-        if any(firm[s] < pulls.imposed_labels(pulls.firm_domain, s) or not known[s][firm[s]] for s in range(2)):
+        if any(firm[s] < pulls.imposed_labels(pulls.firm_domain, s) or not cancel[s][firm[s]] for s in range(2)):
             return False
         contacts = sets[0]
         side = _side(pulls, contacts, pulls.firm_domain, firm)
         if not np.array_equal(sets[0], sets[1]) or side is None:
             return False
-        has = self.guide[contacts] >= 0
-        if has.all() or not has.any():
+        known = self.guide[contacts] >= 0
+        if known.all() or not known.any():
             return False
-        # v, a number of a class of slips and a sign, from each contact of known friction
-        first, differs = alike[0][self.guide[contacts[has]]], alike[1][self.guide[contacts[has]]]
-        signs = side[has] * self.way[contacts[has]] * differs
-        weight = np.where(has, 1.0, -1.0)[:, None] * pulls.coefficient[contacts]
-        if len(np.unique(first)) > 1 or len(np.unique(signs)) > 1 or math.fsum(weight.ravel().tolist()) != 0.0:
+        # All contacts of known friction have to pull along one v: one first contact with their slip, and one sign.
+        first, differs = alike[0][self.guide[contacts[known]]], alike[1][self.guide[contacts[known]]]
+        signs = side[known] * self.way[contacts[known]] * differs
+        signed_limit = np.where(known, 1.0, -1.0)[:, None] * pulls.coefficient[contacts]
+        if len(np.unique(first)) > 1 or len(np.unique(signs)) > 1 or math.fsum(signed_limit.ravel().tolist()) != 0.0:
             return False
         guide, sign = int(first[0]), int(signs[0])
-        self.guide[contacts[~has]], self.way[contacts[~has]] = guide, -side[~has] * sign
+        self.guide[contacts[~known]], self.way[contacts[~known]] = guide, -side[~known] * sign
         self.between.append(Between(sphere, contacts, guide, -sign))
         return True
 
     def missed(
         self, network: JudgedNetwork, pulls: Pulls, contacts: Slipping, relative_change: np.ndarray
     ) -> np.ndarray:
-        """Return a bound (2, E) on how far the stored friction of each oblique contact may be from that found here, by
-        component; 0 for all others of the E contacts.
+        """Return a bound (2, E) on the difference between the stored friction of each oblique contact and that at the
+        minimum, by component; 0 for all others of the E contacts.
 
         network : the sample, with its stored friction.
-        pulls : the contacts that bear all their friction.
+        pulls : the contacts whose friction is at its limit.
         contacts : the slipping ones, close to a minimum.
-        relative_change : (slipping contacts,), bound on |slip there - slip| / |slip|.
+        relative_change : (slipping contacts,), bound on |slip at the minimum - slip| / |slip|.
         """
-        some = np.flatnonzero(pulls.oblique)
-        own, guide, upper = pulls.own[some], self.guide[some], pulls.upper[some]
-        found, limit = np.zeros((2, len(network.acts))), network.holding.at(own)
+        oblique = np.flatnonzero(pulls.oblique)
+        index, guide, upper = pulls.own[oblique], self.guide[oblique], pulls.upper[oblique]
+        found, limit = np.zeros((2, len(network.acts))), network.holding.at(index)
         place = np.searchsorted(contacts.curved, guide)
         for slot, k in enumerate(network.needed):
-            exerted = (limit * contacts.direction[slot].at(place)).signed(self.way[some])
-            stored = network.moment[k].at(own).signed(network.sign[k][upper])
+            along_guide = (limit * contacts.direction[slot].at(place)).signed(self.way[oblique])
+            stored = network.moment[k].at(index).signed(network.sign[k][upper])
             # the unit vector along a slip that changes by a share c of its size changes by 2 c at most
-            found[slot, own] = ((exerted - stored).most + 2 * relative_change[guide] * limit.most) * UP
+            found[slot, index] = ((along_guide - stored).most + 2 * relative_change[guide] * limit.most) * UP
         return found
 
 
 def _alike(pulls: Pulls) -> tuple[np.ndarray, np.ndarray]:
-    """Return for each of n contacts that slip in both components the first one, (n,), that connects the same slipless
-    domains in both, and +1 or -1, (n,): the slip of the contact is exactly this number times that of the
-    other. For all other contacts the numbers have no meaning.
+    """Return for each of n contacts that slip in both components the first contact, (n,), with the same slip but for a
+    sign, as it connects the same two groups of spheres that turn as one in both components; and this sign, (n,), +1 or
+    -1. For all other contacts the numbers have no meaning.
 
-    pulls : the n contacts that bear all their friction."""
+    pulls : the n contacts whose friction is at its limit."""
     low, high = pulls.same_in_both[pulls.lower], pulls.same_in_both[pulls.upper]
     key = np.where(
         pulls.in_s & pulls.felt.all(axis=0), np.minimum(low, high) * (len(pulls.driven) + 1) + np.maximum(low, high), -1
@@ -163,8 +168,8 @@ def _alike(pulls: Pulls) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _side(pulls: Pulls, contacts: np.ndarray, label: np.ndarray, domains: list[int]) -> np.ndarray | None:
-    """Return +1 or -1, (q,), for each of q contacts: whether its upper or its lower sphere is in both domains of a
-    pair. Return None if that is not the same sphere for both.
+    """Return for each of q contacts +1 if its upper, -1 if its lower sphere is in both domains of a pair, (q,). Return
+    None if a contact has different spheres in the two domains.
 
     pulls : the contacts.
     contacts : (q,), their indices in `pulls`; exactly one sphere of each is in either domain.
@@ -176,17 +181,17 @@ def _side(pulls: Pulls, contacts: np.ndarray, label: np.ndarray, domains: list[i
 
 def not_balanced(pulls: Pulls, between: list[Between]) -> np.ndarray:
     """Return the mask (2, spheres), by component, of the firm domains without a driven sphere on which friction is not
-    proven to balance. A firm domain is a group of spheres that contacts join which rest and have friction left.
+    proven to balance. A firm domain is a group of spheres that contacts below their friction limits join.
 
-    pulls : the contacts that bear all their friction.
+    pulls : the contacts whose friction is at its limit.
     between : pairs of firm domains that are known to be in balance.
 
-    Let r be what is left over on a firm domain. It obeys two kinds of equations. (1) On a slipless domain without a
+    Let r be the torque left over on a firm domain. There are two kinds of equations. (1) On a slipless domain without a
     driven sphere, which consists of firm domains, the sum of all r is 0, as it is in balance at the minimum. (2) The
-    friction of contacts that is not exactly known acts on both their spheres: it cancels on all firm domains together
-    that such contacts connect, a *group*. So if the exactly known friction on these adds up to 0, the sum of all r is
-    0, too. A firm domain stands in one equation of either kind. An equation in which a single r is left makes this 0;
-    this is repeated until no such equation remains.
+    friction of contacts that is not exactly known cancels in the sum over all firm domains that such contacts connect,
+    a *group*. So if the exactly known friction on these adds up to 0, the sum of all r is 0, too. Each r stands in one
+    equation of either kind. An equation in which a single r is left makes this 0; this is repeated until there is no
+    such equation.
     """
     found = np.zeros(pulls.firm_domain.shape, dtype=bool)
     for slot in range(2):
@@ -198,35 +203,38 @@ def not_balanced(pulls: Pulls, between: list[Between]) -> np.ndarray:
         group = pieces(count, np.append(first, 0 * imposed), np.append(second, imposed))
         slipless = np.zeros(count, dtype=int)
         slipless[firm] = pulls.slipless_domain[slot]
-        # the equations of both kinds in which r of each firm domain stands: their numbers, and whether they hold
+        # for each firm domain the numbers of its equations of both kinds; and which equations are true
         groups, driven = int(group.max()) + 1, np.arange(pulls.imposed_labels(pulls.slipless_domain, slot))
         equations = np.stack([group, groups + slipless])
-        holds = np.append(pulls.known_pulls_cancel_at(group[firm], slot), np.ones(int(slipless.max()) + 1, dtype=bool))
-        holds[np.append(group[0], groups + driven)] = False
-        left = np.ones(count, dtype=bool)
-        left[imposed] = False
-        left[[int(firm[pair.sphere]) for pair in between]] = False
-        while left.any():
-            terms = np.bincount(equations[:, left].ravel(), minlength=len(holds))
-            solved = left & (holds & (terms == 1))[equations].any(axis=0)
+        is_true = np.append(
+            pulls.known_pulls_cancel_at(group[firm], slot), np.ones(int(slipless.max()) + 1, dtype=bool)
+        )
+        is_true[np.append(group[0], groups + driven)] = False
+        unsolved = np.ones(count, dtype=bool)
+        unsolved[imposed] = False
+        unsolved[[int(firm[pair.sphere]) for pair in between]] = False
+        while unsolved.any():
+            terms = np.bincount(equations[:, unsolved].ravel(), minlength=len(is_true))
+            solved = unsolved & (is_true & (terms == 1))[equations].any(axis=0)
             if not solved.any():
                 break
-            left &= ~solved
-        # a sum that does not vanish, though all its r seem to, contradicts the others
-        wrong = np.flatnonzero(~holds[:groups])
-        left |= np.isin(group, wrong[wrong != group[0]])
-        left[imposed] = False
-        found[slot] = left[firm]
+            unsolved &= ~solved
+        # a group on which the known friction does not add up to 0 contradicts that all its r are 0
+        wrong = np.flatnonzero(~is_true[:groups])
+        unsolved |= np.isin(group, wrong[wrong != group[0]])
+        unsolved[imposed] = False
+        found[slot] = unsolved[firm]
     return found
 
 
 @dataclass(frozen=True)
 class Movable:
-    """The m pairs of locked domains that can move along a line, at contacts that rest at their limits.
+    """The m pairs of locked domains, one of each component, that can move along a line; it is the direction of the
+    friction of contacts that rest at their limits.
 
     labels : (2, m), for both components the label of the locked domain.
-    slot : (m,), the component (0 or 1) in which each is held to exclude other motions.
-    pairs : what the line is, and which contacts it concerns."""
+    slot : (m,), the component (0 or 1) in which the pair is held so that one minimum is left.
+    pairs : m objects with the direction of the line and the contacts of the pair."""
 
     labels: np.ndarray
     slot: np.ndarray
@@ -242,20 +250,21 @@ class Movable:
         contacts : the slipping contacts."""
         labels, slots, pairs = [], [], []
         for pair in limits.between:
-            own = [int(of[pair.sphere]) for of in pulls.locked_domain]
-            turning = [pulls.turned_by[s] & pulls.crossing(pulls.locked_domain[s], own[s]) for s in range(2)]
-            driven = any(own[s] < pulls.imposed_labels(pulls.locked_domain, s) for s in range(2))
-            same = all(np.array_equal(np.flatnonzero(of), pair.contacts) for of in turning)
-            if same and not driven and _side(pulls, pair.contacts, pulls.locked_domain, own) is not None:
-                labels.append(own)
+            locked = [int(label[pair.sphere]) for label in pulls.locked_domain]
+            turning = [pulls.turned_by[s] & pulls.crossing(pulls.locked_domain[s], locked[s]) for s in range(2)]
+            is_driven = any(locked[s] < pulls.imposed_labels(pulls.locked_domain, s) for s in range(2))
+            same = all(np.array_equal(np.flatnonzero(mask), pair.contacts) for mask in turning)
+            if same and not is_driven and _side(pulls, pair.contacts, pulls.locked_domain, locked) is not None:
+                labels.append(locked)
+                # hold it in the component in which the line is longer
                 sizes = [part.most[pair.guide] for part in contacts.difference]
                 slots.append(int(sizes[1] > sizes[0]))
                 pairs.append(pair)
         return cls(np.array(labels, dtype=int).reshape(-1, 2).T, np.array(slots, dtype=int), pairs)
 
     def signs(self, contacts: Slipping, relative_change: np.ndarray) -> np.ndarray:
-        """Return (2, m), by component the sign +1 or -1 of the way in which the oblique contacts of each pair allow it
-        to move; 0 where it is not proven.
+        """Return the signs (2, m), +1 or -1, of the only direction in which each pair can move without making its
+        oblique contacts slip backwards, by component; 0 where a sign is not proven.
 
         contacts : the slipping contacts close to the minimum.
         relative_change : (slipping contacts,), bound on |slip at the minimum - slip| / |slip|.
@@ -271,15 +280,15 @@ class Movable:
         proof).
 
         pulls : the n contacts that bear all their friction.
-        signs : (2, m), the way in which the oblique contacts of a pair allow it to move, by component; 0 if not known.
+        signs : (2, m), sign of the only direction in which a pair may move, by component; 0 if not known.
         excluded : (2, spheres) mask of spheres that may move in other ways; contacts at these are not used."""
         found = np.zeros(len(self.pairs), dtype=bool)
         for slot in range(2):
-            # nodes: welded domains, which move as a whole; then the pairs, each by itself
+            # nodes: welded domains, which move as a whole; then the pairs, each taken out of its welded domain
             node, locked = pulls.welded_locked[slot].copy(), pulls.locked_domain[slot]
-            stays, count = [], int(node.max()) + 1
+            rest_of_domain, count = [], int(node.max()) + 1
             for number, label in enumerate(self.labels[slot].tolist()):
-                stays.append(int(node[locked == label][0]))
+                rest_of_domain.append(int(node[locked == label][0]))
                 node[locked == label] = count + number
             # A contact of C with the sign s may only slip forward, s (y_upper - y_lower) >= 0: an edge from the node
             # with the larger y to that with the smaller one.
@@ -288,11 +297,12 @@ class Movable:
             forward = pulls.sign[slot, rests] > 0
             lower, upper = node[pulls.lower[rests]], node[pulls.upper[rests]]
             larger, smaller = np.where(forward, upper, lower), np.where(forward, lower, upper)
-            size = count + len(stays)
+            size = count + len(rest_of_domain)
             graph = sparse.csr_array((np.ones(len(larger)), (larger, smaller)), shape=(size, size))
-            for number, stay in enumerate(stays):
-                # moving by `sign` is excluded if y of the pair is at most, or at least, that of its neighbours
-                begin, end = (stay, count + number) if signs[slot, number] > 0 else (count + number, stay)
+            for number, rest in enumerate(rest_of_domain):
+                # A pair that may only move ahead of the rest of its domain stands still if a path leads from the rest
+                # to the pair, so that its y is no larger; one that may only fall behind if a path leads back.
+                begin, end = (rest, count + number) if signs[slot, number] > 0 else (count + number, rest)
                 if signs[slot, number] != 0:
                     found[number] |= end in breadth_first_order(graph, begin, return_predecessors=False)
         return found
