@@ -84,7 +84,7 @@ class BetweenTwo:
         """Return the domains (groups of spheres that turn as one) that lie between others which pull them with the same
         friction in opposite directions.
 
-        pulls : the n contacts that bear all their friction.
+        pulls : the n contacts whose friction is at its limit.
         contacts : slips of those of them that slip."""
         links = _closed(pulls, _links(pulls, contacts, _where_known_pulls_cancel(pulls)))
         held: tuple[list[int], list[int]] = ([], [])

@@ -245,7 +245,7 @@ class Movable:
         """Return those pairs that can move (step 3 of the proof): the same turning contacts connect either domain with
         others, and they are those from which the friction of the pair is known.
 
-        pulls : the contacts that bear all their friction.
+        pulls : the contacts whose friction is at its limit.
         limits : the pairs, with contacts that rest at their limits.
         contacts : the slipping contacts."""
         labels, slots, pairs = [], [], []
@@ -279,7 +279,7 @@ class Movable:
         """Return the mask (m,) of the pairs that are proven to stand still from one minimum to another (step 4 of the
         proof).
 
-        pulls : the n contacts that bear all their friction.
+        pulls : the n contacts whose friction is at its limit.
         signs : (2, m), sign of the only direction in which a pair may move, by component; 0 if not known.
         excluded : (2, spheres) mask of spheres that may move in other ways; contacts at these are not used."""
         found = np.zeros(len(self.pairs), dtype=bool)

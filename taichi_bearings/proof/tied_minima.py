@@ -6,19 +6,19 @@ that matter, in which each component of a slip depends on one of them: lattices,
 axes.
 
 Symbols
-    S : the contacts that slip in the stored spins. C : those that do not slip and yet bear all their friction mu F_n.
-        T : all others. Contacts of C bear it along one component; those with friction along both are *oblique*
-        (oblique_limits.py).
+    S : the contacts that slip in the stored spins. C : those that do not slip although their friction is at its limit
+        mu F_n, mostly along one component; those with friction along both are *oblique* (oblique_limits.py).
+        T : all others.
     n : number of contacts of S and C together. E : of all contacts of the sample.
     u* : a minimum. t : slip of a contact at u*; 0 for C. y : a motion, from u* to another minimum.
     pull : the force of a contact on its spheres along one component.
 
-A *domain* is a group of spheres that a set of contacts joins in one component, so that they move as one there. Four
+A *domain* is a group of spheres that a set of contacts joins in one component, so that they move as one in it. Four
 sets of contacts make four kinds of domains:
-    firm domain : joined by T. It cannot be torn at any minimum, as its contacts have friction left.
-    locked domain : joined by T and by those contacts of C that bear no friction along this component, which therefore
-        never begin to slip along it. From one minimum to another it moves as one.
-    slipless domain : joined by T and C, so by all contacts that do not slip at u*.
+    firm domain : joined by T. It moves as one at every minimum, as its contacts are below their friction limits.
+    locked domain : joined by T and by those contacts of C without friction along this component, which therefore never
+        begin to slip along it. From one minimum to another it moves as one.
+    slipless domain : joined by T and C, that is by all contacts that do not slip at u*.
     welded domain : slipless (or locked) domains that *turning* contacts join: contacts of S whose slip has the other
         component, too, and oblique ones.
 
@@ -34,27 +34,28 @@ Firm: {1, 2}, {3}, {4}, {5}. Locked: {1, 2, 3}, {4}, {5}. Slipless: {1, 2, 3, 4}
 five; of locked ones: {1, 2, 3}, {4, 5}.
 
 The proof
-1. *What can move at no cost.* A welded domain without a driven sphere is pulled by its other contacts with their whole
-   friction, one way or the other. If these pulls, added exactly, cancel, then the balance of all its members but one
-   implies that of the last one: so one equation is redundant, and one member can be held without loss. The same is true
-   of domains between two others that pull them with the same total friction in opposite directions: on the line between
-   these nothing changes (between_two.py). One of those that move together is held in one component.
+1. *What can move at no cost.* The other contacts of a welded domain pull it with their friction limits, along this
+   component, with one sign or the other. Let it have no driven sphere, and let these pulls, added exactly, cancel. Then
+   the balance of all its members but one implies that of the last one: so this one can be held without loss. The same
+   is true of domains between two others that pull them with the same total friction in opposite directions: a motion
+   on the line between these costs nothing (between_two.py). One of those that move together is held in one component.
 2. *One minimum.* With these domains held there is one minimum u* nearby (curvature.py, `nearest_minimum`).
-3. *It is one of the whole power.* Friction that agrees with u* can be put in balance. Contacts of C bear exactly mu
-   F_n along one component, and oblique ones exactly what balances one slip beside them. Then friction has to balance on
-   each firm domain. It does if all pulls on it are known and, added exactly, cancel. Pulls of contacts with friction
-   along both components are not known exactly; but they cancel on all firm domains together that these contacts
-   connect, and each free slipless domain is in balance as a whole (oblique_limits.py, `not_balanced`). Contacts of T
-   bear the rest, inside all discs (curvature.py, `bearable`). So T rests at every minimum (theorem 4).
+3. *It is one of the whole power.* Some friction by the law at u* is in balance. For contacts of C it is exactly mu F_n
+   along one component; for oblique ones it exactly balances the friction of a slipping contact. Then it has to balance
+   on each firm domain. It does if all pulls on it are known and, added exactly, cancel. Pulls of contacts with friction
+   along both components are not known exactly; but they cancel in the sum over all firm domains that these contacts
+   connect, and each free slipless domain is in balance as a whole (oblique_limits.py, `not_balanced`). Friction of T,
+   below all limits, balances the other torques (curvature.py, `bearable`). So T rests at every minimum (theorem 4).
 4. *All minima.* They share this friction. So each differs from u* by a motion that keeps T at rest, turns no slip of S,
    and lets C slip only along its friction, forward. But for the sign at C, two kinds of motions do so: of welded
-   domains (of locked ones) as a whole, and of domains along the lines between two others. There are no further ones.
+   domains (made of locked ones) as a whole, and of domains along the lines between two others. There are no other ones.
    For such motions can be subtracted until one locked domain of each welded one stands still, and one of the domains
-   that move together along lines. What is left turns no slip of S and none that an oblique contact would begin with, so
-   the power has no curvature along it, with oblique contacts counted as if they slipped; but it is proven to have
-   curvature along every motion with these domains held (curvature.py, `rises`). So nothing is left. Contacts at which
-   motions along lines act are left undecided, unless it is proven that these do not move. All others have the minima of
-   motions y of welded domains for which no contact of S and C slips backwards: t + y_upper - y_lower >= 0, with signs.
+   that move together along lines. The rest of the motion turns no slip of S and of no oblique contact, so the power has
+   no curvature along it, with oblique contacts counted as if they slipped. But it is proven to have curvature along
+   every motion with these domains held (curvature.py, `rises`). So the rest is 0. Contacts whose slips change by
+   motions along lines stay undecided, unless it is proven that the domains do not move. For all others the minima are
+   the motions y of welded domains in which no contact of S and C slips backwards: t + y_upper - y_lower >= 0, with
+   signs.
 5. *States.* These are constraints of shortest paths. A contact is an edge of length t: from the welded domain at its
    upper end to that at its lower end, or the other way round if its slip is negative (tail and head in the code). A
    contact of S rests at some minimum if no other path from its tail to its head is shorter than t, and at none if one
@@ -88,11 +89,10 @@ from taichi_bearings.proof.pulls import EPS, Pulls
 from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, TIED, UNDECIDED
 
 # A contact is put into C if its stored friction misses mu F_n by no more than one of these shares, which are tried one
-# after the other: where friction of full size is 1e-6 across one contact, another one may miss this. Then contacts that
-# miss more than SURELY_FULL leave C again where friction would not balance: a contact that balances one which slips
-# along it but for 1e-4 has 5e-9 of its friction left. Friction is taken to be along one component if the other one is
-# below the root of MISSED_ACROSS times the share, 1.4 times the most that friction of full size can have there. Wrong
-# choices only make the proof fail.
+# after the other. Contacts that miss more than SURELY_FULL leave C again where friction would not balance: a contact
+# that balances one with a slip at an angle of 1e-4 to it misses 5e-9. Friction is taken to be along one component if
+# the other one is below the root of MISSED_ACROSS times the share, over the limit; that is 1.4 times the most that it
+# can be at friction of full size. Wrong choices only make the proof fail.
 MISSED_LIMIT = 1e-6
 MISSED_LIMITS = (MISSED_LIMIT, 1e-5)
 MISSED_ACROSS, SURELY_FULL = 4, 1e-12
@@ -101,14 +101,14 @@ PATH_ROUNDING = 1 + 1e-12  # factor that covers the rounding of a few products, 
 
 @dataclass(frozen=True)
 class Constraints:
-    """What limits how far minima of the power can differ along one spin component. From one minimum to another groups
-    of spheres (*welded domains*) shift as a whole. The n contacts between such groups slip more or less then, but none
-    may slip backwards.
+    """The constraints on how far minima of the power can differ along one spin component. From one minimum to another
+    groups of spheres (*welded domains*) move as a whole. That changes the slips of the n contacts between such groups,
+    but none may slip backwards.
 
     own : (n,), indices of these contacts in the arrays of :class:`Pulls`.
-    lower, upper : (n,), number of the welded domain at either end; 0 for what does not move.
-    sign : (n,), +1 or -1: whether a motion of the upper end lengthens or shortens the slip.
-    same_slip : (n,), equal numbers for contacts that have the same slip at the minimum from which groups shift."""
+    lower, upper : (n,), number of the welded domain at either end; 0 for those that do not move.
+    sign : (n,), +1 or -1: whether a positive motion of the upper end lengthens or shortens the slip.
+    same_slip : (n,), equal numbers for contacts that have the same slip at the minimum from which groups move."""
 
     own: np.ndarray
     lower: np.ndarray
@@ -117,25 +117,25 @@ class Constraints:
     same_slip: np.ndarray
 
     def sharing_a_domain(self, mask: np.ndarray) -> np.ndarray:
-        """Return the mask (n,) of the contacts that are connected with given ones, directly or through other contacts,
-        by welded domains (groups of spheres that move together) that can move; the given ones included.
+        """Return the mask (n,) of the given contacts and of all others that are connected with them through contacts
+        and through welded domains (groups of spheres that move together) that can move.
 
         mask : (n,) mask of the given contacts.
         """
         size = int(max(self.lower.max(initial=0), self.upper.max(initial=0))) + 1
-        inner = (self.lower > 0) & (self.upper > 0)
-        joins = self.lower[inner], self.upper[inner]
-        piece = pieces(size, *joins)[np.maximum(self.lower, self.upper)]
+        both_move = (self.lower > 0) & (self.upper > 0)
+        label = pieces(size, self.lower[both_move], self.upper[both_move])
+        piece = label[np.maximum(self.lower, self.upper)]
         return np.isin(piece, piece[mask])
 
     def limits(self, least: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return three masks (n,) of the contacts: those that rest at some minimum, those that slip at all minima, and
         those that slip at some.
 
-        From one minimum to another groups of spheres shift along one component, as far as no contact slips backwards.
-        So a contact can lose its slip unless other contacts that connect the same two groups, one after the other, have
-        a smaller sum of slips. That is a question of shortest paths in a graph with the groups as nodes, the contacts
-        as edges, and their slips as lengths.
+        From one minimum to another groups of spheres move along one component, as far as no contact slips backwards. So
+        a contact can lose its slip unless other contacts that connect the same two groups, one after the other, have a
+        smaller sum of slips. Shortest paths decide this, in a graph with the groups as nodes, the contacts as edges,
+        and their slips as lengths.
 
         least, most : (n,), bounds of the slip at one minimum, both 0 for contacts that do not slip there."""
         # With t the slip of a contact and y a motion: it does not slip backwards if y[head] - y[tail] <= t.
@@ -158,13 +158,13 @@ class Constraints:
         slips_at_some = (low > 0) | (shortest[head, tail] > 0)
         rests_at_some = high == 0
         # A slipping contact rests at some minimum if no path without the contacts of its group is shorter than its
-        # slip. Paths through one of them are as long as that slip alone, at least.
+        # slip. Paths through one of them are at least as long as that slip.
         for number in np.unique(group[~slips_at_all & ~rests_at_some]):
-            own = np.flatnonzero(group == number)
-            left, starts, limit = group != number, np.unique(tail[own]), high[own] * rounding
-            others = _graph_of_shortest(tail[left], head[left], low[left], len(shortest))
-            around = dijkstra(others, indices=starts, limit=float(limit.max()))  # beyond the limit: infinite
-            rests_at_some[own] = limit <= around[np.searchsorted(starts, tail[own]), head[own]]
+            members = np.flatnonzero(group == number)
+            others, starts, limit = group != number, np.unique(tail[members]), high[members] * rounding
+            graph = _graph_of_shortest(tail[others], head[others], low[others], len(shortest))
+            distance = dijkstra(graph, indices=starts, limit=float(limit.max()))  # beyond the limit: infinite
+            rests_at_some[members] = limit <= distance[np.searchsorted(starts, tail[members]), head[members]]
         return rests_at_some, slips_at_all, slips_at_some
 
 
@@ -183,10 +183,11 @@ def _graph_of_shortest(tail: np.ndarray, head: np.ndarray, length: np.ndarray, s
 
 
 def tied_states(motion: Motion, contacts: Slipping) -> tuple[np.ndarray, bool | None] | None:
-    """Prove the states of all E contacts of one sample that may have many minima.
+    """Return the proven states of all E contacts of one sample that may have many minima.
 
     motion : the stored spins of the sample and which contacts rest. Each component of a slip depends on one component
-        of the spins; no loop of contacts is odd. Nothing is proven unless two components matter.
+        of the spins; no loop has an odd number of contacts. Nothing is proven unless minima may slip along just two
+        components.
     contacts : those that slip.
 
     Returns None if nothing is proven. Else the states (E,), SLIPLESS, SLIPPING (at every minimum), TIED (at some), or
@@ -196,6 +197,7 @@ def tied_states(motion: Motion, contacts: Slipping) -> tuple[np.ndarray, bool | 
     coefficient = motion.network.exact_limits
     if coefficient is None or motion.torn.any() or not (contacts.size.least > 0).all():
         return None
+    # Guess which contacts are saturated; where friction does not balance some of them are left out for another try.
     for missed in MISSED_LIMITS:
         saturated: Saturated | None = Saturated.of(motion, missed)
         while saturated is not None:
@@ -203,24 +205,25 @@ def tied_states(motion: Motion, contacts: Slipping) -> tuple[np.ndarray, bool | 
             limits = ObliqueLimits.of(pulls)
             if limits is None:
                 break
-            wrong = not_balanced(pulls, limits.between)
-            found = None if wrong.any() else _tied_states(motion, contacts, saturated, pulls, limits)
+            unbalanced = not_balanced(pulls, limits.between)
+            found = None if unbalanced.any() else _tied_states(motion, contacts, saturated, pulls, limits)
             if found is not None:
                 return found
-            saturated = saturated.without(wrong)
+            saturated = saturated.without(unbalanced)
     return None
 
 
 def _tied_states(
     motion: Motion, contacts: Slipping, saturated: Saturated, pulls: Pulls, limits: ObliqueLimits
 ) -> tuple[np.ndarray, bool | None] | None:
-    """Prove the states of all E contacts of one sample, as :func:`tied_states` does, with given saturated contacts.
+    """Return the proven states (E,) of all E contacts of one sample, and True if there is only one minimum, False if
+    there are more, None if that is not known; or None if nothing is proven with the given saturated contacts.
 
     motion : the stored spins of the sample and which contacts rest.
     contacts : those that slip.
-    saturated : those that rest and are taken to bear all their friction. On all firm domains the friction balances.
+    saturated : those that rest with friction taken to be at its limit. On all firm domains the friction balances.
     pulls : both together.
-    limits : the friction of those of them that bear it along both components."""
+    limits : the friction of the oblique saturated contacts, those with friction along both components."""
     # Hold one slipless domain of each welded domain, for one minimum; and one locked domain, to exclude other motions.
     between, movable = BetweenTwo.of(pulls, contacts), Movable.of(pulls, limits, contacts)
     held = _spheres_to_hold(pulls, pulls.slipless_domain, pulls.welded_slipless, between)
@@ -242,15 +245,15 @@ def _tied_states(
 
 @dataclass(frozen=True)
 class Saturated:
-    """The saturated contacts of one sample: they do not slip in the stored spins, yet bear all their friction mu F_n,
-    most of them along one spin component.
+    """The saturated contacts of one sample: they do not slip in the stored spins, yet their friction is at its limit
+    mu F_n, of most of them along one spin component.
 
-    Two spin components make contacts slip in such a sample; their numbers are `network.needed`, and `slot` 0 or 1 says
-    which of the two is meant.
+    Two spin components make contacts slip in such a sample; their numbers are `network.needed`, and `slot` is 0 or 1
+    for the first or the second of them.
 
     motion : the stored spins of the sample, with E contacts, and which of them rest.
     mask : (E,), which contacts these are.
-    along : (2, E) mask, for either component those of them that bear friction along it.
+    along : (2, E) mask, for either component those of them with friction along it.
     """
 
     motion: Motion
@@ -269,11 +272,11 @@ class Saturated:
 
     @classmethod
     def of(cls, motion: Motion, missed: float) -> Saturated:
-        """Return the resting contacts of a motion that bear nearly all their friction, each with the component along
-        which it bears more, or with both components.
+        """Return the resting contacts of a motion with friction nearly at its limit, each with the component along
+        which it is larger, or with both components.
 
         motion : stored spins of one sample, with the contacts that rest and the friction of all.
-        missed : the largest share of mu F_n that such a contact does not bear.
+        missed : the largest share of mu F_n by which the friction of such a contact is below its limit.
         """
         network, strength = motion.network, motion.network.holding.value
         parts = np.abs([network.moment[k].high for k in network.needed])
@@ -283,27 +286,28 @@ class Saturated:
 
     @property
     def oblique(self) -> np.ndarray:
-        """(E,) mask of the saturated contacts that bear friction along both components."""
+        """(E,) mask of the saturated contacts with friction along both components."""
         return np.asarray(self.along.all(axis=0))
 
-    def without(self, wrong: np.ndarray) -> Saturated | None:
-        """Return these contacts without those that would have to be saturated for friction to balance, and may well not
-        be: they miss more than SURELY_FULL of their friction. Return None if there are none of these.
+    def without(self, unbalanced: np.ndarray) -> Saturated | None:
+        """Return the saturated contacts without those on whose spheres friction does not balance and which may well
+        not be saturated: they miss more than SURELY_FULL of their friction. Return None if there are none to leave out.
 
-        wrong : (2, spheres) mask, by component, of spheres on which the friction does not balance if they are."""
-        strength, first, second = self.network.holding.value, *self.network.graph.contact
+        unbalanced : (2, spheres) mask, by component, of spheres on which the friction does not balance with them."""
+        limit, first, second = self.network.holding.value, *self.network.graph.contact
         parts = [self.network.moment[k].high for k in self.network.needed]
-        at = [self.along[slot] & (wrong[slot, first] | wrong[slot, second]) for slot in range(2)]
-        leave = (at[0] | at[1]) & (np.hypot(*parts) < (1 - SURELY_FULL) * strength)
-        return Saturated(self.motion, self.mask & ~leave, self.along & ~leave) if leave.any() else None
+        at = [self.along[slot] & (unbalanced[slot, first] | unbalanced[slot, second]) for slot in range(2)]
+        left_out = (at[0] | at[1]) & (np.hypot(*parts) < (1 - SURELY_FULL) * limit)
+        return Saturated(self.motion, self.mask & ~left_out, self.along & ~left_out) if left_out.any() else None
 
     def friction(self, slot: int) -> Enclosure:
-        """Return an enclosure (n,), for each of n saturated contacts the moment n x F, in units of force, that it has
-        to exert along component `slot` (0 or 1). That is mu F_n with the sign of the stored moment, or 0 if the contact
-        bears its friction along the other component. It has no meaning for oblique contacts but its sign."""
-        own = np.flatnonzero(self.mask)
-        sign = np.sign(self.network.moment[self.network.needed[slot]].high[own])
-        return self.network.holding.at(own).signed(sign * self.along[slot, own])
+        """Return for each of the q saturated contacts the moment n x F (with the normal n and the friction F) along
+        component `slot`, 0 or 1, at the minimum: an enclosure (q,), in units of force. It is mu F_n with the sign of
+        the stored moment, or 0 if the friction is along the other component. For oblique contacts only the sign has a
+        meaning."""
+        saturated = np.flatnonzero(self.mask)
+        sign = np.sign(self.network.moment[self.network.needed[slot]].high[saturated])
+        return self.network.holding.at(saturated).signed(sign * self.along[slot, saturated])
 
     def without_rest(self, moves: np.ndarray) -> Motion:
         """Return the motion in which some contacts are no longer taken to rest.
@@ -312,30 +316,29 @@ class Saturated:
         return Motion(self.network, self.motion.rests & ~moves) if moves.any() else self.motion
 
     def missing_friction(self, of_oblique: np.ndarray) -> dict[int, np.ndarray]:
-        """Return by spin component k that matters, as a dictionary, a bound (spheres,) on an error of the torque over
-        radius on each sphere, in units of force. A saturated contact should exert exactly mu F_n along one component,
-        or what is known of an oblique one. Its stored moment differs a little from that; the bound is the sum of the
-        sizes of these differences over the contacts of a sphere.
+        """Return a dictionary: for each of the two spin components k along which minima may slip a bound (spheres,) on
+        the error of the torque over radius on each sphere, in units of force. It is the sum, over the saturated
+        contacts of the sphere, of the size of the difference between the stored moment and that at the minimum: exactly
+        mu F_n along one component, unless the contact is oblique.
 
-        of_oblique : (2, E), bounds on the differences of oblique contacts."""
-        own, network = np.flatnonzero(self.mask), self.network
+        of_oblique : (2, E), bounds on these differences for oblique contacts."""
+        saturated, network = np.flatnonzero(self.mask), self.network
         found = {k: np.zeros(len(network.free)) for k in network.needed}
         for slot, k in enumerate(network.needed):
-            missing = np.where(
-                self.oblique[own], of_oblique[slot, own], (self.friction(slot) - network.moment[k].at(own)).most
-            )
-            missing[~network.feels[k][own]] = 0.0
-            for end in network.graph.contact[:, own]:
-                found[k] += np.bincount(end, missing, len(found[k]))
+            of_others = (self.friction(slot) - network.moment[k].at(saturated)).most
+            difference = np.where(self.oblique[saturated], of_oblique[slot, saturated], of_others)
+            difference[~network.feels[k][saturated]] = 0.0
+            for end in network.graph.contact[:, saturated]:
+                found[k] += np.bincount(end, difference, len(found[k]))
         return found
 
 
 def _pulls(contacts: Slipping, saturated: Saturated, coefficient: np.ndarray) -> Pulls:
-    """Return the contacts of one sample that bear all their friction, and the domains (groups of spheres that turn as
+    """Return the contacts of one sample with friction at its limit, and the domains (groups of spheres that turn as
     one) that these and the resting contacts make.
 
     contacts : those that slip.
-    saturated : those that do not slip and yet bear all their friction.
+    saturated : those that do not slip although their friction is at its limit.
     coefficient : (E, p), friction limits of all E contacts, in exact proportions, as sums of p doubles."""
     motion, network, in_c = saturated.motion, saturated.network, np.flatnonzero(saturated.mask)
     components = len(network.needed)
@@ -344,8 +347,9 @@ def _pulls(contacts: Slipping, saturated: Saturated, coefficient: np.ndarray) ->
     signs_of_c = np.array([np.sign(saturated.friction(slot).high) * network.sign[k][network.graph.contact[1, in_c]]
                      for slot, k in enumerate(network.needed)])  # fmt: skip
     signs = np.array([np.sign(part.high) for part in contacts.difference])
+    # By component the motion whose resting contacts join spheres to domains of each kind.
     slipless_domain, firm_domain, locked_domain = (
-        np.array([_numbered(own, k) for own, k in zip(motions, network.needed, strict=True)])
+        np.array([_numbered(joining, k) for joining, k in zip(motions, network.needed, strict=True)])
         for motions in (
             [motion] * components,
             [saturated.firm] * components,
@@ -361,8 +365,8 @@ def _pulls(contacts: Slipping, saturated: Saturated, coefficient: np.ndarray) ->
 
 def _numbered(motion: Motion, k: int) -> np.ndarray:
     """Return a label (spheres,) for each sphere, equal for those that resting contacts of a motion join in spin
-    component k. The smallest numbers, 0, 1, ..., are for what turns with a driven sphere, one number for all that are
-    driven alike; larger ones are for all others.
+    component k. The smallest labels, 0, 1, ..., are for spheres joined to driven ones, one label for each imposed spin;
+    larger ones are for all others.
 
     motion : the network, and which of its contacts rest. These join no driven spheres that are driven differently."""
     network, label = motion.network, motion.domain[k]
@@ -379,45 +383,45 @@ def _numbered(motion: Motion, k: int) -> np.ndarray:
 def _spheres_to_hold(
     pulls: Pulls, label: np.ndarray, welded_domain: np.ndarray, between: BetweenTwo, movable: Movable | None = None
 ) -> np.ndarray | None:
-    """Choose spheres to be held where they are, so that only one minimum is left: the mask (2, spheres) of them for
-    either spin component; None if that cannot be done.
+    """Return the mask (2, spheres), for either spin component, of spheres that shall be held where they are so that
+    only one minimum is left; None if there are no such spheres.
 
     A *domain* is a group of spheres that turn as one; a *welded domain* consists of domains that can only move
     together. Two kinds of groups can move at no cost, and are held:
 
     * Of each welded domain without a driven sphere one domain is held. It must not be one of `between` or `movable`; if
       all are, the result is None.
-    * Of the domains of `between` those are held that it chooses, each pair of `movable` in the component that this
-      chooses.
+    * Of the domains that move along lines those in `between.held` are held, and each pair of `movable` in the component
+      `movable.slot`.
 
-    pulls : the contacts that bear all their friction.
+    pulls : the contacts whose friction is at its limit.
     label : (2, spheres), for either component the label of the domain of each sphere.
     welded_domain : (2, spheres), the number of its welded domain: 0 for those that contain a driven sphere, then 1, 2,
         ...
     between : domains that move on lines between two neighbours, which pull them with the same friction.
-    movable : pairs of locked domains that can move along a line, if `label` has locked domains.
+    movable : pairs of locked domains that can move along a line; None if `label` has no locked domains.
     """
     held = np.zeros(label.shape, dtype=bool)
     for slot in range(2):
-        welded, inner = welded_domain[slot], np.isin(pulls.slipless_domain[slot], between.labels[slot])
+        welded, moves_along_line = welded_domain[slot], np.isin(pulls.slipless_domain[slot], between.labels[slot])
         if movable is not None:
-            inner |= np.isin(label[slot], movable.labels[slot])
+            moves_along_line |= np.isin(label[slot], movable.labels[slot])
             held[slot] |= np.isin(label[slot], movable.labels[slot][movable.slot == slot])
         for number in range(1, int(welded.max()) + 1):
-            some = label[slot][(welded == number) & ~inner]
-            if not len(some):
+            candidates = label[slot][(welded == number) & ~moves_along_line]
+            if not len(candidates):
                 return None
-            held[slot] |= label[slot] == some[0]
+            held[slot] |= label[slot] == candidates[0]
         for domain in between.held[slot]:
             held[slot] |= label[slot] == label[slot][pulls.slipless_domain[slot] == domain][0]
     return held
 
 
 def _labels_of_moving(motion: Motion, label: np.ndarray, held: np.ndarray) -> dict[int, np.ndarray]:
-    """Return a dictionary: for each of the two spin components k that matter the labels (spheres,) of domains, with 0,
-    the label of a driven domain, for spheres that are held where they are.
+    """Return a dictionary: for each of the two spin components k along which minima may slip the labels (spheres,) of
+    domains, with 0, the label of a driven domain, for spheres that are held where they are.
 
-    motion : says which components these are.
+    motion : the sample, with the numbers of these components.
     label : (2, spheres), for either component the label of the domain (group of spheres that turn as one) of a sphere.
     held : (2, spheres) mask of the spheres that are held."""
     return {k: np.where(h, 0, own) for k, own, h in zip(motion.network.needed, label, held, strict=True)}
@@ -431,15 +435,15 @@ def _minimum_with_held(
     saturated: Saturated,
     limits: ObliqueLimits,
 ) -> tuple[Slipping, np.ndarray] | None:
-    """Prove two things: near the stored spins there is one minimum if some domains (groups of spheres that turn as one)
-    are held where they are; and it is a minimum without holding them, too. For the latter, known forces have to cancel
-    on the held domains, and friction of the resting contacts, below their limits, has to balance all other torques.
+    """Return the slipping contacts at spins close to a minimum, and for each a bound on |slip at the minimum - slip| /
+    |slip|; None if these are not proven.
 
-    Return None if that is not proven; else the slipping contacts at spins close to that minimum, and for each a bound
-    on |slip there - slip| / |slip|.
+    It is the only minimum near the stored spins if some domains (groups of spheres that turn as one) are held where
+    they are. It is a minimum without holding them, too, as known forces cancel on the held domains, and friction of the
+    resting contacts, below their limits, balances all other torques.
 
     motion : the stored spins of one sample, and which contacts rest.
-    pulls : the contacts that bear all their friction.
+    pulls : the contacts whose friction is at its limit.
     between : domains that two neighbours pull with the same friction.
     held : (2, spheres) mask of the spheres whose domain is held, for either component.
     saturated : contacts without slip that bear all their friction.
@@ -448,49 +452,50 @@ def _minimum_with_held(
     if near is None:
         return None
     found, relative_change = near
-    # The pulls that were taken as known keep their signs at u* and cancel, and T bears the rest.
+    # The pulls that were taken as known keep their signs at u*.
     known = pulls.felt & ~pulls.turned_by & pulls.in_s
     signs = np.array([np.sign(part.high) for part in found.difference])
-    same = (signs == pulls.sign[:, : len(relative_change)]) | ~known[:, : len(relative_change)]
-    # No other force could balance the known pulls on welded domains without a driven sphere, which have labels above 0.
+    keep_signs = (signs == pulls.sign[:, : len(relative_change)]) | ~known[:, : len(relative_change)]
+    # They cancel on welded domains without a driven sphere, which have numbers above 0.
     cancel = all(pulls.known_pulls_cancel_at(pulls.welded_slipless[slot], slot)[1:].all() for slot in range(2))
-    if not (same.all() and cancel and between.lie_between(pulls, found, relative_change)):
+    if not (keep_signs.all() and cancel and between.lie_between(pulls, found, relative_change)):
         return None
-    missing = saturated.missing_friction(limits.missed(motion.network, pulls, found, relative_change))
-    return near if bearable(saturated.firm, found, relative_change, missing) else None
+    # Friction of T balances the other torques.
+    unsure = saturated.missing_friction(limits.missed(motion.network, pulls, found, relative_change))
+    return near if bearable(saturated.firm, found, relative_change, unsure) else None
 
 
 def _with_oblique(
     motion: Motion, pulls: Pulls, limits: ObliqueLimits, held: np.ndarray, near: tuple[Slipping, np.ndarray]
 ) -> tuple[Slipping, np.ndarray]:
-    """Return the contacts whose slip may not turn from one minimum to another, with slips of the right directions, and
-    for each a bound on the relative change of its slip up to the minimum. These are the slipping contacts, and the
-    oblique ones with the slip of the contact that says what their friction is. The unknowns are locked domains.
+    """Return the contacts whose slip keeps its direction from one minimum to another, and for each a bound on
+    |slip at the minimum - slip| / |slip|. These are the slipping contacts, and the oblique ones, with the slip of a
+    slipping contact that has the direction of their friction. The unknowns are the spins of locked domains.
 
     motion : the stored spins of one sample, and which contacts rest.
-    pulls : the contacts that bear all their friction, among them oblique ones, which rest and bear it along both
-        components.
-    limits : the directions of the friction of the latter.
+    pulls : the contacts whose friction is at its limit, among them oblique ones, which rest and have friction along
+        both components.
+    limits : the directions of the friction of the oblique contacts.
     held : (2, spheres) mask of the spheres whose domain is held, for either component.
     near : the slipping contacts close to the minimum, and for each the bound."""
     found, relative_change = near
     rests, some = motion.rests.copy(), np.flatnonzero(pulls.in_s | pulls.oblique)
     rests[pulls.own[pulls.oblique]] = False
-    moving = Motion(motion.network, rests) if pulls.oblique.any() else motion
-    whole = Slipping.of(moving, _labels_of_moving(motion, pulls.locked_domain, held))
-    some = some[np.argsort(pulls.own[some])]  # the order of the contacts in `whole`
+    with_oblique = Motion(motion.network, rests) if pulls.oblique.any() else motion
+    slipping = Slipping.of(with_oblique, _labels_of_moving(motion, pulls.locked_domain, held))
+    some = some[np.argsort(pulls.own[some])]  # the order of the contacts in `slipping`
     guide, way = limits.guide[some], limits.way[some]
     first, second = (part.at(guide).signed(way) for part in found.difference)
-    return replace(whole, difference=(first, second)), relative_change[guide]
+    return replace(slipping, difference=(first, second)), relative_change[guide]
 
 
 def _undecided(
     pulls: Pulls, between: BetweenTwo, movable: Movable, near: tuple[Slipping, np.ndarray]
 ) -> np.ndarray | None:
     """Return the mask (n,) of the contacts whose slips change by motions along lines, so that their states are not
-    proven here; None if the direction of such a line is not known well enough.
+    proven; None if the direction of such a line is not known closely enough.
 
-    pulls : the n contacts that bear all their friction.
+    pulls : the n contacts whose friction is at its limit.
     between, movable : what can move along lines.
     near : the slipping contacts close to the minimum, and for each a bound on |slip at the minimum - slip| / |slip|.
     """
@@ -502,9 +507,9 @@ def _undecided(
     blocked = movable.blocked(pulls, signs, excluded)
     for number in np.flatnonzero(~blocked).tolist():
         undecided[movable.pairs[number].contacts] = True
-        for slot, own in enumerate(movable.labels[:, number].tolist()):
+        for slot, label in enumerate(movable.labels[:, number].tolist()):
             changes = pulls.felt[slot] & ~pulls.turned_by[slot]
-            undecided |= changes & pulls.touches(pulls.locked_domain[slot], own)
+            undecided |= changes & pulls.touches(pulls.locked_domain[slot], label)
     return undecided
 
 
@@ -515,26 +520,26 @@ def _states_by_paths(
     if that is not known. At one minimum contacts may slip less or more than at another, but never backwards; shortest
     paths along slips say how far.
 
-    pulls : the n contacts that bear all their friction.
+    pulls : the n contacts whose friction is at its limit.
     between : domains (groups of spheres) that two neighbours pull with the same friction.
     contacts, relative_change : the slipping contacts at spins close to a minimum, and for each a bound on |slip there -
         slip| / |slip|.
-    may_differ : True if some domain can move at no cost, so that minima may differ. If nothing is tied there is one
-        minimum all the same, as a motion between minima goes on until a slip vanishes, at a contact that is tied then.
+    may_differ : True if some domain can move at no cost, so that minima may differ. There is one minimum all the same
+        if no contact is tied: a motion between minima could go on until a slip is 0, at a contact that is tied.
     count : E, number of contacts."""
-    rest = len(pulls.in_s) - len(relative_change)
-    # Bounds of t: the slips of S with what they may differ at u*, 0 for C.
-    least = np.append(contacts.size.least * (1 - relative_change) / PATH_ROUNDING, np.zeros(rest))
-    most = np.append(contacts.size.most * (1 + relative_change) * PATH_ROUNDING, np.zeros(rest))
+    of_c = len(pulls.in_s) - len(relative_change)  # number of contacts of C
+    # Bounds of t: the slips of S with their largest change up to u*, 0 for C.
+    least = np.append(contacts.size.least * (1 - relative_change) / PATH_ROUNDING, np.zeros(of_c))
+    most = np.append(contacts.size.most * (1 + relative_change) * PATH_ROUNDING, np.zeros(of_c))
     state = np.where(pulls.in_s, SLIPPING, SLIPLESS)
     state[between.undecided] = UNDECIDED
-    # TIED, SLIPPING or SLIPLESS where shortest paths decide; undecided with all that shares a domain with BetweenTwo.
-    for of_component in _constraints(pulls):
-        own = of_component.own
-        rests_at_some, slips_at_all, slips_at_some = of_component.limits(least[own], most[own])
+    # TIED, SLIPPING or SLIPLESS where shortest paths decide; UNDECIDED if connected with domains that move along lines.
+    for constraints in _constraints(pulls):
+        own = constraints.own
+        rests_at_some, slips_at_all, slips_at_some = constraints.limits(least[own], most[own])
         known = np.where(slips_at_all, SLIPPING, np.where(rests_at_some, SLIPLESS, UNDECIDED))
         known[rests_at_some & slips_at_some] = TIED
-        undecided = of_component.sharing_a_domain(between.undecided[own])
+        undecided = constraints.sharing_a_domain(between.undecided[own])
         state[own] = np.where(undecided & (known != TIED), UNDECIDED, known)
     found = np.full(count, SLIPLESS)
     found[pulls.own] = state
@@ -543,16 +548,12 @@ def _states_by_paths(
 
 
 def _constraints(pulls: Pulls) -> list[Constraints]:
-    """Return for each of the two spin components the contacts whose slips along it may differ between minima. They slip
-    along this component alone, or could begin to, and lie between two welded domains: groups of spheres that move
-    together from one minimum to another.
+    """Return for each of the two spin components the contacts whose slips along it may differ between minima, with the
+    welded domains (groups of spheres that move together from one minimum to another) at both ends. They slip along this
+    component alone, or could begin to, and lie between two welded domains.
 
-    A :class:`Constraints` holds of n such contacts: their indices in `pulls`; the numbers of the welded domains at
-    their lower and upper ends; the signs of their slips; and numbers that are equal for contacts with the same slip.
-
-    pulls : the contacts that bear all their friction, slipping ones (`in_s`) and others. It knows the spin components
-        that make each slip (`felt`), and for each sphere, by component, its domain: the spheres that contacts without
-        slip join to it (`slipless_domain`)."""
+    pulls : the contacts whose friction is at its limit, slipping ones (`in_s`) and others, and the domains that they
+        and resting contacts make."""
     found, size = [], pulls.slipless_domain.shape[1] + 2
     for slot in range(2):
         # contacts that this component makes slip, and that do not slip along the other one (`turned_by`)
