@@ -166,10 +166,9 @@ def certifying_forces(
         over are good enough, and are found at once.
     are_states_asked : False if no contact state is to be proven by them. On large lattices the same holds then.
 
-    Forces are projected in turn on those in balance and, over-relaxed by 1.5, on the friction discs (all forces within
-    their limits). Zero forces are in both sets, so this converges linearly (Bauschke and Borwein, SIAM Review 38,
-    1996). A sample ends once its balanced forces, divided by their largest |f| / (mu F_n), prove `bound` or need no
-    division, or after MOST_PROJECTIONS."""
+    Forces are projected in turn on those in balance and, over-relaxed by 1.5, on the friction discs. Zero forces are in
+    both sets, so this converges linearly (Bauschke and Borwein, SIAM Review 38, 1996). A sample ends once its balanced
+    forces, divided by their largest |f| / (mu F_n), prove `bound` or need no division, or after MOST_PROJECTIONS."""
     given = force = _finite(scene, force)
     # Where no contact state can follow from the bound, or none is asked for, any forces that prove it are enough.
     proves_none = excess is not None and can_prove_no_state(scene, excess)
@@ -190,7 +189,6 @@ def certifying_forces(
     whole = None  # the best forces divided by `worst`, and the bound that they prove with all roundings, once computed
     proven, better = np.zeros(scene.replicas), np.ones(scene.replicas, dtype=bool)
     done = ~better  # each replica ends by itself, whatever the others need
-    # Project in turn on the friction discs and on the forces in balance; keep those that prove the most.
     for _ in range(MOST_PROJECTIONS):
         is_close = better & (value_of_best >= bound * (1 - ENCLOSED_GAP))
         if is_close.any():

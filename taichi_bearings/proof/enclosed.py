@@ -64,8 +64,8 @@ def _on_lattice(samples: OnLattice) -> JudgedNetwork:
 
 
 def _in_lists(packing: Bearing, spin: np.ndarray, rounding: np.ndarray, friction: np.ndarray) -> JudgedNetwork | None:
-    """Return the network of R samples of a packing for the proofs, with its numbers as enclosures; None where speeds or
-    forces are so large or small that products might overflow or underflow.
+    """Return the network of R samples of a packing for the proofs; None where speeds or forces are so large or small
+    that products might overflow or underflow.
 
     packing : the R samples, with N spheres and E contacts each.
     spin, rounding : (R, N, 3), of discs (R, N), 1/time; the spin is the sum of the two.
@@ -107,10 +107,9 @@ def _in_lists(packing: Bearing, spin: np.ndarray, rounding: np.ndarray, friction
     faint_sign = np.tile(
         np.where((imposed != 0) & (np.abs(imposed) < LOSING_DIGITS * speed), np.sign(imposed), 0.0).T, count
     )
-    # Imposed speeds that nearly agree become equal; of those that lost digits only the sign is kept, with an error.
     for part, sign in zip(speeds, faint_sign, strict=True):
         _equalise_imposed_speeds(part, np.flatnonzero(~free_of_all))
-        faint = np.flatnonzero((sign != 0) & ~free_of_all)
+        faint = np.flatnonzero((sign != 0) & ~free_of_all)  # imposed spins of which only the sign is kept
         size = LOSING_DIGITS * radius[faint]
         part.put(faint, Enclosure(sign[faint] * size, np.zeros(len(faint)), 2 * size))
     zero, normal_force = Enclosure.exact(np.zeros(acts.size)), normal_force.ravel()
