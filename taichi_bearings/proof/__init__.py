@@ -37,18 +37,19 @@ The theorems
    imposed, and where contacts roll exactly or their rows of K are independent. [slipless_state.py, exact_motions.py]
 4. Slackness. At every minimum and for every optimal friction phi(y*) + phi*(F*) = F* . y*, contact by contact. So a
    contact is *slipless*, it slips at no minimum, if one optimal F* is below its limit. [states.py]
-5. Excess. Let E be Phi(u) less what F proves by 1. At every minimum the sum of phi(y*) + phi*(F) - F . y* is at most E,
-   and with damping the sum of eta |y* - y|^2 / 2 as well. [states.py]
-6. Cuts. In one component minima are mixtures of lightest cuts. On these no contact has more than E over the jump left
-   between |F| and its limit. [minima_by_cuts.py]
-7. One minimum. Let contacts T rest, and let the curvature of Phi along all that T allows be tau or more, in some norm.
-   If the slope of Phi is below 0.72 tau rho, and no slip changes by more than a quarter within rho, then (P) with T at
-   rest has one minimum there. If T can bear inside its discs what the other contacts leave to it, this is the only
-   minimum of (P). [curvature.py for normals along the axes, oblique.py, centre.py, among_motions.py and
-   exact_motions.py for others; floors of curvatures by rounded_elimination.py, with Higham's bound on the error of a
-   factorisation]
-8. Parts at rest. Contacts that can all rest at once, and can bear what optimal friction elsewhere leaves to them, rest
-   at every minimum. [resting.py; loops.py and borne.py where loops beside them cannot roll as normals are rounded]
+5. Excess. Let E be Phi(u) less the lower bound that F proves by 1. At every minimum the sum of phi(y*) + phi*(F) - F .
+   y* is at most E, and with damping the sum of eta |y* - y|^2 / 2 as well. [states.py]
+6. Cuts. In one component minima are mixtures of lightest cuts. For a contact in one of these, mu F_n - |F| is at most E
+   over the jump. [minima_by_cuts.py]
+7. One minimum. Let contacts T rest, and let the curvature of Phi along all motions in which they do be tau or more, in
+   some norm. If the slope of Phi is below 0.72 tau rho, and no slip changes by more than a quarter within rho, then (P)
+   with T at rest has one minimum there. If friction of T within its discs can balance the torques of the other contacts
+   there, this is the only minimum of (P). [curvature.py for normals along the axes, oblique.py, centre.py,
+   among_motions.py and exact_motions.py for others; floors of curvatures by rounded_elimination.py, with Higham's bound
+   on the error of a factorisation]
+8. Parts at rest. Contacts that can all rest at once rest at every minimum if friction of theirs, below its limits, can
+   balance the torques of optimal friction elsewhere. [resting.py; loops.py and borne.py where loops beside them cannot
+   roll as normals are rounded]
 9. Ties. Where frictions cancel exactly, spheres a and b can move by y_a and y_b at no cost, as long as no slip t
    between them turns backwards: t + y_b - y_a >= 0. Shortest paths say which slips are 0 at some minima but not at all:
    such contacts are *tied*. [tied_minima.py, with pulls.py, between_two.py and oblique_limits.py]
@@ -70,13 +71,13 @@ counts           a contact that acts at a reached sphere; no other contact dissi
 feels            a contact that counts and slips with a component of the spins
 rests            a contact that does not slip at any minimum, or is assumed not to
 still            a contact whose slip is exactly 0 in the stored spins
-at hand          the spins and the friction that are given, from which everything is proven
+at hand, given   said of the stored spins and friction, from which everything is proven
 law              says the friction of a contact from its slip y: mu F_n y / |y| + eta y
 lattice          spheres on sites; its normals are along the axes
 packing          spheres anywhere; its normals may have any direction (oblique)
 domain           spheres that resting contacts join in a component, so that they turn as one
 floor            a proven lower bound of eigenvalues or singular values
-margin, room     what a contact has left of its friction: mu F_n less the size of F
+margin           mu F_n less the size of F
 signed spin      spin times +1 or -1, different for neighbours: where signed spins are equal nothing slips
 odd loop         a loop of an odd number of contacts: no signs differ across all of them
 components mix   they do not if each contact slips with each component of the spins separately

@@ -80,8 +80,8 @@ def torques_on(part: Part, force: np.ndarray, lattice: Lattice, spin_axes: tuple
 def _pulls(
     force: np.ndarray, axis: int, planes: tuple[int, int], lattice: Lattice
 ) -> Iterator[tuple[Index, np.ndarray]]:
-    """Yield on which spheres of some planes forces pull, and the forces: first those of the contacts above these
-    spheres, then those below.
+    """Yield pairs: an index of spheres in some planes, and the forces (r samples, *spheres) of contacts on them,
+    first the contacts above these spheres, then those below.
 
     force : (r samples, *contacts), one component of the forces of all contacts along an axis.
     axis : number of the axis.
@@ -111,7 +111,7 @@ def column_sums(
     force : (C, R, E), forces along the spin difference of the contacts.
     lattice : the shape of the lattice and its periodic axes.
     spin_axes : the axes of the C components.
-    plain : as :func:`torques_on` has it.
+    plain : True for sums in plain doubles, False for sums with an error of about 1e-32 of the forces.
     share : a function like `map`, which may share the calls among threads.
     """
     bottom, top, left_over = np.empty((3, *force.shape[:2], *lattice.shape[:-1]))

@@ -274,7 +274,7 @@ def joined(members: list[Enclosure]) -> Enclosure:
 
 def row_sum(values: Enclosure) -> Enclosure:
     """Return for each of R rows the sum of its n numbers, an enclosure (R,). The second half of a row is added to the
-    first, number by number, and so on with these sums; so there are few roundings, always in the same order.
+    first, number by number, then these sums in the same way, and so on: few roundings, always in the same order.
 
     values : the numbers, an enclosure (R, n)."""
     while (size := values.high.shape[1]) > 1:
@@ -287,9 +287,10 @@ def row_sum(values: Enclosure) -> Enclosure:
 
 
 def grouped_sum(values: Enclosure, owner: np.ndarray, count: int) -> Enclosure:
-    """Return for each owner the sum (count,) of its values, an enclosure (n,): neighbours among the values of an owner
-    are added in pairs, and so on with these sums.
+    """Return for each of `count` owners the sum of its values, an enclosure (count,). Neighbours among the values of an
+    owner are added in pairs, then these sums, and so on.
 
+    values : the values, an enclosure (n,).
     owner : (n,), the owner of each value, 0 to count - 1."""
     if count == 1:
         return row_sum(values.reshaped((1, -1)))
@@ -363,7 +364,7 @@ def _rounded(product: np.ndarray, rest: np.ndarray, error: np.ndarray, counts: C
 
 
 def _fast_two_sum(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rounded sum of doubles |a| >= |b|, and exactly what the rounding left out (Dekker)."""
+    """Return the rounded sum of doubles |a| >= |b|, and its exact rounding error (Dekker)."""
     total = a + b
     part = total - a
     return total, np.subtract(b, part, out=part)

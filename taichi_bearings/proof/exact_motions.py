@@ -357,11 +357,12 @@ class _Solved:
 
         chosen : (k,), indices of the choices.
         column : (k,), the column that each choice belongs to."""
-        together = sparse.csr_array((np.ones(len(chosen)), (np.arange(len(chosen)), column)))
-        sums = (self.choices.sums[:, chosen] @ together).toarray()
+        in_columns = sparse.csr_array((np.ones(len(chosen)), (np.arange(len(chosen)), column)))
+        # The slips (u_i + u_j) x n that the choices of each column give; then K x = -slips by least squares.
+        sums = (self.choices.sums[:, chosen] @ in_columns).toarray()
         normal = self.parts.normal.T[..., None]
         slips = np.cross(sums.reshape(3, -1, sums.shape[1]), normal, axis=0).reshape(sums.shape)
-        x = -self.factor.solve(self.rows.T @ slips)  # the others follow by K x = -slips
+        x = -self.factor.solve(self.rows.T @ slips)
         left = self.rows @ x + slips
         if not np.abs(left).max(initial=0.0) < LEFT_SLIP:
             x -= self.factor.solve(self.rows.T @ left)
@@ -512,10 +513,11 @@ class _Motions:
             of spheres without unknowns, which stay as they are."""
         free, choices, motion = self.parts.free, self.choices, sparse.coo_array(self.motion)
         high, low = (np.stack([getattr(part, name) for part in given], axis=1)[free] for name in ("high", "low"))
-        value = joined([Enclosure.exact(high[choices.chosen], low[choices.chosen]), choices.imposed])
-        at, choice = motion.coords
-        shares = value.at(choice).times(motion.data) / Enclosure.exact(self.unit[choice])
-        total, (sphere, component), found = grouped_sum(shares, at, len(high)), np.nonzero(free), []
+        value_of_choice = joined([Enclosure.exact(high[choices.chosen], low[choices.chosen]), choices.imposed])
+        # An unknown is the sum over the choices of value * motion / unit.
+        unknown, choice = motion.coords
+        terms = value_of_choice.at(choice).times(motion.data) / Enclosure.exact(self.unit[choice])
+        total, (sphere, component), found = grouped_sum(terms, unknown, len(high)), np.nonzero(free), []
         for k, part in enumerate(given):
             found.append(part.where(~np.asarray(free.any(axis=1))))
             found[k].put(sphere[component == k], total.at(np.flatnonzero(component == k)))
