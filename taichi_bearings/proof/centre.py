@@ -388,7 +388,7 @@ class Centre:
 
     def relative_to_slip(self, change: np.ndarray) -> np.ndarray:
         """Return `change` (S,) divided by the slip speeds of the S slipping contacts, rounded up, (S,). It is 0 for
-        contacts without friction, whose force does not depend on the direction of the slip alone."""
+        contacts without a friction limit, as no friction turns with their slip."""
         found = np.zeros(len(self.slipping))
         found[self.with_friction] = (change / self.size.least)[self.with_friction] * UP
         return found

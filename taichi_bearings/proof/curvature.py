@@ -632,8 +632,8 @@ def proven_floor(rows: sparse.csr_array, doubt: sparse.csr_array, elimination: E
 class Floor:
     """A quadratic form |A x|^2 in q unknowns that is proven to be at least tau times the sum of (x / unit)^2.
 
-    Each unknown has a unit of its own, as some are held far less firmly than others: one number for all would be as
-    small as that of the softest.
+    Each unknown has a unit of its own, as the form grows far more slowly along some unknowns than along others: with
+    one unit tau would be as small as along the softest.
 
     tau : (R,), for each of R samples; 0 where nothing is proven, infinite for samples without unknowns.
     unit : (q,), powers of two.
@@ -652,7 +652,7 @@ class Floor:
         elimination: Elimination,
         factor: Factor | None = None,
     ) -> Floor:
-        """Prove a floor of |A x|^2 for every matrix A whose entries differ from those of `rows` by `doubt` at most.
+        """Return a floor of |A x|^2 for every matrix A whose entries differ from those of `rows` by `doubt` at most.
 
         The unit of an unknown is about the root of its entry on the diagonal of (A^T A)^-1. It is estimated from random
         vectors whose covariance is that inverse. The proof holds with any units.

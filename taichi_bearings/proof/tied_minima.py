@@ -267,7 +267,7 @@ class Saturated:
 
     @cached_property
     def firm(self) -> Motion:
-        """The motion in which none of these contacts is taken to rest."""
+        """The motion in which no saturated contact is taken to rest."""
         return self.without_rest(self.mask)
 
     @classmethod
