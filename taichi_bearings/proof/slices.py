@@ -153,7 +153,7 @@ class Grid(Listed):
         found, acting = [np.zeros(shape) for _ in samples.components], acts.reshape(samples.count, -1)
         for axis, span in enumerate(samples.lattice.spans):
             friction = samples.friction[:, span]
-            # n x F for n along the axis: component a + 1 is -F_(a + 2), component a + 2 is F_(a + 1), counted round.
+            # n x F for n along `axis`: with the next axes a and b, component a is -F_b and component b is F_a.
             if samples.lattice.dimension == 2:
                 products = [(0, friction, samples.force_unit)]
             else:
