@@ -204,14 +204,14 @@ class Piece:
         contacts : (q,), indices of these contacts.
         unknowns : (n,), indices, among all unknowns, of the spin components of their spheres."""
         rows, most_change = bounds.rows[tangent_rows(contacts)][:, unknowns].toarray(), bounds.most_change
-        touches = np.zeros(len(bounds.network.free), dtype=bool)
-        touches[bounds.sphere[unknowns]] = True
-        beside = bounds.network.counts & touches[bounds.network.graph.contact].any(axis=0)
-        beside[contacts] = False
-        others = np.flatnonzero(beside)
-        # Friction along loops, and the inverse by which the rest follows from torques. Then what rounding adds: to the
-        # torques left over 4 roundings for each of the `terms` terms of the longest sum; to the change of friction what
-        # the splitting misses, and 16 roundings, as the tangents are orthonormal up to rounding only.
+        in_piece = np.zeros(len(bounds.network.free), dtype=bool)
+        in_piece[bounds.sphere[unknowns]] = True
+        is_other = bounds.network.counts & in_piece[bounds.network.graph.contact].any(axis=0)
+        is_other[contacts] = False
+        others = np.flatnonzero(is_other)
+        # Friction along loops, and the inverse by which the rest of f follows from torques. Rounding of torques: 4 EPS
+        # for each of the `terms` terms of the longest sum. Rounding of f: the error of the splitting, and 16 EPS, as
+        # the tangents are orthonormal up to rounding only.
         loops, inverse = _loops_and_inverse(rows)
         terms = 2 * (len(contacts) + len(others)) + len(unknowns) + 64
         torque = (bounds.left_over + 4 * terms * EPS * bounds.sum_at_spheres(most_change))[bounds.sphere[unknowns]]
@@ -219,7 +219,7 @@ class Piece:
             most_change[contacts], 2
         )
         by_rounding = weighted_lengths(by_rounding[:, None]) + 16 * EPS * most_change[contacts]
-        # The torques of the change f are minus what the other contacts bring to these spheres.
+        # The torques of f are minus those of the changes on the other contacts of these spheres.
         by_others = -inverse.T @ bounds.rows[tangent_rows(others)][:, unknowns].toarray().T
         most_off_loops = (block_norms(by_others) @ most_change[others] + by_rounding) * UP
         # Intervals of the friction c along loops, and the bound on the size of optimal friction.
