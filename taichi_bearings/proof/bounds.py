@@ -159,7 +159,7 @@ def _balanced_by_springs(
     network: JudgedNetwork, upper: np.ndarray
 ) -> tuple[list[Enclosure], list[Enclosure], np.ndarray | None, np.ndarray, Enclosure] | None:
     """Return the stored friction with forces of fictitious springs at the contacts added, so that torques on free
-    spheres cancel, and what follows from it. This is for contacts that are not along the axes.
+    spheres cancel, with the torques that are left. This is for contacts that are not along the axes.
 
     Rounding leaves some torques. They can reduce the lower bound by their size times the largest spins (times radius)
     of some minimum. If these are not proven to be small, FASTEST_COMPARED times the fastest imposed speed is taken in
@@ -174,7 +174,7 @@ def _balanced_by_springs(
     2. torques over radius that it leaves over, 3 components, enclosures (n,);
     3. mask (n, 3) of the spin components on which springs act, None without springs;
     4. (R,), the words that say for which spins the bound is proven;
-    5. (R,), what the lower bound loses by the torques of rounding."""
+    5. (R,), the power by which the torques of rounding reduce the lower bound."""
     count, springs = network.count, Springs.of(network, upper)
     if springs is None and count > 1:
         return None

@@ -581,7 +581,7 @@ def newton_step(curvature: Form, floor: Floor, torque: np.ndarray) -> tuple[np.n
     The proofs may use any z. The entries of B are taken as the doubles that they are.
 
     curvature : the matrix B for m unknowns in units `scale`.
-    floor : what is proven of it, with a factor of B^T B.
+    floor : its proven floor, with the Cholesky factor of B^T B.
     torque : (m,), the torques along the unknowns.
     """
     rows, scale, samples = curvature.rows, curvature.scale, curvature.elimination.samples

@@ -3,7 +3,8 @@
 What is proven. Some contacts are taken to rest. Spheres that they join turn as one in a component: such a set is a
 *domain*. Only free domains may move, each by one number. With these contacts at rest there is exactly one minimum of
 the power; it is near the given spins, and how much each slip changes on the way to it is bounded (`nearest_minimum`).
-If the resting contacts can bear what the others leave to them, it is a minimum over all spins (`bearable`).
+If friction of the resting contacts, below their limits, can balance the torques of the others, it is a minimum over all
+spins (`bearable`).
 
 Symbols
     n : number of slipping contacts (elsewhere in this folder the number of spheres). m : number of those that slip in

@@ -188,8 +188,8 @@ class Judgement:
 
     @property
     def objective(self) -> np.ndarray:
-        """(R,), for each of R samples what the stationary state minimises, at the stored spins, to the nearest doubles:
-        the power, or with friction and viscosity the potential, energy/time."""
+        """(R,), the objective of each of R samples at the stored spins, to the nearest doubles, energy/time: the power,
+        or with friction and viscosity the potential. The stationary state minimises it."""
         return self._of_spins(0.5, self.network.power_unit * self.law.share)
 
     def _of_spins(self, of_slope: float, unit: np.ndarray) -> np.ndarray:

@@ -151,7 +151,7 @@ class Listed:
 
     def needed(self, box: np.ndarray, differs: Callable[[int], bool]) -> list[int]:
         """Return, in ascending order, the numbers k of the spin components along which contacts may slip at some
-        minimum: those along which not all contacts can roll with what is imposed.
+        minimum: those along which not all contacts can roll with the imposed spins.
 
         box : (C,), largest absolute imposed value of each of the C components; only their number is used here.
         differs : function of k, True if the imposed spins differ along component k, so that not all contacts can roll
@@ -203,7 +203,7 @@ class Listed:
         """Return the stored friction of m contacts by component, C enclosures (m,), set to 0 for contacts that are not
         in the mask `counts` (m,).
 
-        moment : what lattices return in its place; not used here."""
+        moment : moments of the friction, which lattices return instead; not used here."""
         return [Enclosure.exact(np.where(counts, part, 0.0)) for part in self.friction.T]
 
     def anchor(self, k: int) -> np.ndarray:

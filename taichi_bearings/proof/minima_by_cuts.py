@@ -152,7 +152,7 @@ def states_by_cuts(bounds: Bounds, k: int) -> np.ndarray:
     * TIED if for some step it is between the sides of some lightest cuts, and for no step of all;
     * UNDECIDED if stored friction and excess of power do not tell.
 
-    bounds : the network, its friction, and the excess of the power over what the friction proves."""
+    bounds : the network, its friction, and the excess of the power over its lower bound."""
     network, graph = bounds.network, CutGraph.of(bounds, k)
     own, label, node = graph.own, graph.label, graph.node
     part, size = label[node], len(label)

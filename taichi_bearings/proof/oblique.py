@@ -28,8 +28,8 @@ The proof
    Friction resists a change by at least 0.72 of its curvature while no slip changes by more than a quarter
    (curvature.py says why), damping by all of it. For any motion z, r . x = (B z) . (B x) + (r - B^T B z) . x. So the
    potential rises wherever |B x| exceeds (|B z| + |r - B^T B z| / tau^1/2 + |a|) / 0.72, and the minimum is closer than
-   that. (This is meant with B at the nearest spins in V; a factor covers what the one at hand may differ from it.) With
-   a step of Newton's method as z hardly any torque is left for tau: stiff contacts bear most of r.
+   that. (This B is that at the nearest spins in V; a factor covers its difference from the B of the given spins.) If z
+   is a step of Newton's method, hardly any torque is left to be divided by tau: stiff contacts balance most of r.
 3. This minimum in V is a minimum over all spins, if friction of T, within its limits, balances the torques of S. The
    friction of S at the minimum is known closely. The potential has no slope within V, so the torques that the given
    friction leaves over are balanced by some correction on T, which has two parts. The loose spheres touch loose

@@ -84,7 +84,7 @@ class States:
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def proven_states(bounds: Bounds) -> list[States]:
-    """Return what is proven of the contact states at every minimum, a list with an object for each of R samples.
+    """Return the proven contact states at every minimum, a list with an object for each of R samples.
 
     Which theorem is applied depends on whether there is damping, on whether each component of a slip depends on one
     component of the spins, and on how many spin components can make contacts slip.
@@ -360,9 +360,8 @@ def _with_parts_at_rest(bounds: Bounds, far: np.ndarray, before: list[States]) -
 
 def _by_domains(network: JudgedNetwork, rests: np.ndarray) -> np.ndarray | str:
     """Return the states (m,) of the m contacts of a network if it is proven to have one minimum, at which the contacts
-    in `rests` and those that these hold at rest do rest, and all others slip; else a text that says what is missing in
-    the proof. (In each component of the spins resting contacts join spheres to domains, which turn as one, so that no
-    contact within a domain can slip.)
+    in `rests`, and all others within their domains, rest and the others slip; else a text with the reason why this is
+    not proven. (In each component of the spins resting contacts join spheres to domains, which turn as one.)
 
     network : stored spins and friction; each component of a slip depends on one component of the spins.
     rests : (m,) mask of the contacts that are taken to rest.
@@ -422,7 +421,7 @@ def _one_minimum(motion: Motion, contacts: Slipping) -> tuple[Slipping, np.ndarr
     contacts : the n contacts that slip in it, with their slips.
 
     Returns the slipping contacts close to the minimum, and for each of them a bound (n,) on |slip there - slip| /
-    |slip|; or a text that says what is missing in the proof."""
+    |slip|; or a text with the reason why this is not proven."""
     if motion.torn.any():
         return "contacts without slip join driven spheres with different imposed spins"
     if not _saturated(motion.network, contacts):

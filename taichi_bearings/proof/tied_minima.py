@@ -230,7 +230,7 @@ def _tied_states(
     held_locked = _spheres_to_hold(pulls, pulls.locked_domain, pulls.welded_locked, between, movable)
     if held is None or held_locked is None or not (held.any() or not pulls.in_s.all()):
         return None
-    # The minimum with these held; then the curvature that excludes other motions; then what shortest paths say.
+    # The minimum with these held; then the curvature that excludes other motions; then the states by shortest paths.
     near = _minimum_with_held(motion, pulls, between, held, saturated, limits)
     if near is None:
         return None
@@ -446,8 +446,8 @@ def _minimum_with_held(
     pulls : the contacts whose friction is at its limit.
     between : domains that two neighbours pull with the same friction.
     held : (2, spheres) mask of the spheres whose domain is held, for either component.
-    saturated : contacts without slip that bear all their friction.
-    limits : the friction of those of them that bear it along both components."""
+    saturated : contacts without slip whose friction is at its limit.
+    limits : the friction of those of them that have it along both components."""
     near = nearest_minimum(Slipping.of(motion, _labels_of_moving(motion, pulls.slipless_domain, held)))
     if near is None:
         return None
@@ -496,7 +496,7 @@ def _undecided(
     proven; None if the direction of such a line is not known closely enough.
 
     pulls : the n contacts whose friction is at its limit.
-    between, movable : what can move along lines.
+    between, movable : the domains that can move along lines: between two others, and at oblique contacts.
     near : the slipping contacts close to the minimum, and for each a bound on |slip at the minimum - slip| / |slip|.
     """
     signs = movable.signs(*near)
