@@ -295,7 +295,7 @@ class Path:
         taken: np.ndarray = going.copy()
         step = self._solved(0)
         target = self._target(step)
-        # Mehrotra's corrector: the product that the predictor makes credible, and its second-order terms.
+        # Mehrotra's corrector: aims at the target product, and makes up for second-order terms of the predictor.
         rows.run(kernels.correct, (0, 1), target)
         step = self._with_correctors(self._furthest(step, self._solved(1)), target, going)
         # Refine the last solve, and go STEP_SHARE of the way to the boundary.

@@ -188,7 +188,7 @@ class Descent:
         """Return the relative gap below which the next trial to settle the contact states of a sample comes; 0 if no
         trial comes before the path ends. In large samples each trial that fails is followed by another when the gap has
         fallen by RETRY_FACTOR; small samples have one or two trials."""
-        again = sample.tried / RETRY_FACTOR
+        again = sample.tried / RETRY_FACTOR  # infinite before the first trial
         if self.small and math.isfinite(sample.tried):
             again = 0.0 if self._is_last(sample.tried) else self.settles_at / RETRY_FACTOR
         return min(self.settles_at, again) if self.settles else 0.0

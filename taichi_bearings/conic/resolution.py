@@ -130,7 +130,7 @@ class Resolved:
         the smallest slips, unless `rest` is added.
     dual : (d, n), minus the friction forces.
     slipping : (n,) mask of contacts that slip.
-    at_limit : (n,) mask of contacts that do not slip and may bear all their friction all the same.
+    at_limit : (n,) mask of contacts that do not slip and yet may bear all their friction.
     heads : (unknowns,) mask of one spin of each set of spins that slipless contacts tie together, without the sets that
         are tied to a driven plane. With these spins held the matrix of the slipless contacts is regular.
     rest : (unknowns,), low parts of the spins in twice the precision, spins + rest; None if these are not known.

@@ -181,19 +181,19 @@ def balanced_inside(
     the others are within friction; None if none are found. Return also a mask (n,) of the overloaded contacts, whose
     limits are the reason if none are found.
 
-    The stiffness of the spring at each contact is the inverse second derivative of the barrier -log(friction^2 -
-    |force|^2): along a force close to its limit it is far smaller than across it, so that steps go far. The matrix
-    couples spins at slipless contacts only, which takes a thousandth of the operations of a Newton step: 0.06 instead
-    of 108 billion at 48^3. It falls apart into clusters of spheres that slipless contacts join. In each cluster a step
-    goes as far as the contacts of the cluster allow, so that a cluster in which no forces balance does not stop others;
-    the contacts at which its steps end are the overloaded ones.
+    In each step fictitious springs at the contacts balance the torques. Their stiffness is the inverse second
+    derivative of the barrier -log(friction^2 - |force|^2): along a force close to its limit it is far smaller than
+    across it, so that steps go far. The matrix couples spins at slipless contacts only, which takes a thousandth of the
+    operations of a Newton step: 0.06 instead of 108 billion at 48^3. It falls apart into clusters of spheres that
+    slipless contacts join. In each cluster a step goes as far as the contacts of the cluster allow, so that a cluster
+    in which no forces balance does not stop others; the contacts at which its steps end are the overloaded ones.
 
     system : the n contacts, whose slips are differences of two unknowns.
     order : (unknowns,), order in which the unknowns are eliminated.
     friction : (n,), friction limits.
     dual : (d, n), minus the forces to begin with; those of slipless contacts are within friction.
     slipping : (n,) mask of contacts that slip.
-    heads : (unknowns,) mask, as in :func:`nearly_borne`.
+    heads : (unknowns,) mask of spins that are held, as in :func:`nearly_borne`.
 
     Raises NotPositiveDefinite if the matrix is singular to working precision. Letters: n contacts with up to d slip
     components.

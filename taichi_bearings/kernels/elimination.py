@@ -77,7 +77,7 @@ def begin_of_column(column, height, width):
     in panels of columns, each panel from its diagonal down, so that row 0 itself is stored in the first panel only.
 
     column : number of the column.
-    height : distance from one column to the next in the first panel. In each later panel it is `width` less.
+    height : distance from one column to the next in the first panel; in each later panel it is smaller by `width`.
     width : columns of a panel.
     """
     before = columns_before(column, width)

@@ -92,7 +92,7 @@ def _take_largest_flow(left: _Residual, pairs: np.ndarray, part: np.ndarray) -> 
     """
     count, nodes = int(part.max(initial=-1)) + 1, len(part)
     kind = left.there.dtype
-    # no more can flow in a part than its nodes are fed, or drain
+    # no more can flow in a part than the source gives it, or the sink takes
     bound = np.minimum(*(_sums_by_owner(values, part, count, kind) for values in (left.fed, left.drained)))
     of_pair = part[pairs[0]]
     while (open_ := bound > 0).any():
@@ -175,6 +175,7 @@ def _flow_by_edge(flow: np.ndarray, capacity: np.ndarray, own: np.ndarray, rever
         ordered, group = capacity[order].astype(object), own[order]
         total = np.add.accumulate(ordered, dtype=object) if len(ordered) else ordered
         first = np.flatnonzero(np.diff(group, prepend=-1))
+        # capacity of the edges of the same pair that are filled before each edge
         before = np.empty(len(own), dtype=object)
         before[order] = total - ordered - (total - ordered)[first][group]
         size, sign = np.abs(flow)[own], np.where(flow[own] > 0, 1, -1)

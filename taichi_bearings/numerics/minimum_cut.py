@@ -375,9 +375,8 @@ def flow_by_scipy(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.nd
     """
     nodes = int(ends.max()) + 1
     pairs, own = np.unique(np.sort(ends, axis=0), axis=1, return_inverse=True)
-    if (
-        pairs.shape[1] < ends.shape[1] and capacity.ndim == 1
-    ):  # rings of two spheres have two contacts between the same pair
+    # rings of two spheres have two contacts between the same pair
+    if pairs.shape[1] < ends.shape[1] and capacity.ndim == 1:
         return _flow_of_parallel_edges(ends, capacity, pairs, own.ravel(), at_most)
     row, column = np.concatenate([ends, ends[::-1]], axis=1).astype(np.int32)  # the only indices SciPy 1.11 takes
     left_over = np.broadcast_to(capacity, ends.shape).ravel()  # of both directions

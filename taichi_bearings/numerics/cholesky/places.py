@@ -80,6 +80,7 @@ def places_of_updates(
     members = [of.tolist() for of in batches]
     if not len(branches):
         return _places(parent, size, members, [0] * len(batches))[:2]
+    # Updates inside a branch are placed within a stretch of their own, `scratch`, that is free again after its batch.
     lasting, inside, scratch = size.copy(), np.zeros_like(size), np.zeros(len(branches), dtype=np.int64)
     known = dict[bytes, tuple[np.ndarray, int]]()  # branches of a lattice are often alike
     for number, (first, end) in enumerate(branches.tolist()):

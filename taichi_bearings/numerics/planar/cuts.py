@@ -87,7 +87,8 @@ def _cuts_of(inner: np.ndarray, upward: np.ndarray) -> MinimumCuts:
     sideways_flow, sideways_tied = (np.zeros((batch, columns - 1, gaps + 1), dtype) for dtype in (float, bool))
     upward_tied, crossed = np.zeros(upward.shape, dtype=bool), path.upward
     weight, next_weight = path.length * unit, np.maximum(path.next_length, path.length) * unit
-    # rounding down takes less than a unit a contact, so a path that is longer by that many units is surely heavier
+    # Rounding down takes less than a unit from each contact; so a path is surely heavier if it is longer than the
+    # shortest one by a unit for each contact of that. Other grids are examined with exact weights.
     unsure = np.flatnonzero(path.next_length < path.length + path.contacts)
     if len(unsure):
         crossed[unsure], sideways_tied[unsure, :, 1:-1], upward_tied[unsure] = equal_paths(
@@ -95,9 +96,8 @@ def _cuts_of(inner: np.ndarray, upward: np.ndarray) -> MinimumCuts:
         )
         tied = _any_in_grid(sideways_tied[unsure]) | _any_in_grid(upward_tied[unsure])
         beyond = np.maximum(next_weight[unsure], np.nextafter(weight[unsure], np.inf))
-        beyond[_any_in_grid(inner[unsure] == 0) | _any_in_grid(upward[unsure] == 0)] = (
-            np.nan
-        )  # other ways across absent contacts
+        # paths across absent contacts may hide the next one
+        beyond[_any_in_grid(inner[unsure] == 0) | _any_in_grid(upward[unsure] == 0)] = np.nan
         next_weight[unsure] = np.where(tied, weight[unsure], beyond)
     above = np.zeros((batch, columns, gaps + 1), dtype=bool)
     np.logical_xor.accumulate(crossed, axis=2, out=above[..., 1:])  # each crossing of the path changes the side
