@@ -253,17 +253,22 @@ def test_links_that_share_domains_make_trees():
     assert _farthest(trees[1]) == (1, 9)
 
 
-def test_a_line_may_be_along_one_component():
+def test_a_line_may_be_along_one_component_and_may_end_at_rest():
     """Free spheres between bottom and top, with equal friction, in four columns: one is driven along y alone, one along
-    x alone, one along both and one not at all. All contacts of the first three are tied: none is proven otherwise."""
+    x alone, one along both and one not at all. All contacts of the first three are tied: none is proven otherwise, in
+    the middle of the minima or where all spheres rest on the top."""
     x, y, z = np.zeros((1, 1, 2, 3)), np.zeros((1, 2, 1, 3)), np.ones((1, 2, 2, 2))
     scene = tb.Scene((x, y, z), normal_force=1.0, top=(1.0, 1.0, 0.0, -1.0), bottom=(0.0, 0.0, 0.0, 0.0))
     solution = solve(scene, METHODS["interior-point"]().build(), initial_spin(scene, "linear"), StopRule(1e-8))
-    states, slip = samples_of(solution).judgement.states[0].known, solution.slip[0]
-    (known, slips) = (scene.lattice.by_axis(of)[2].reshape(4, 2) for of in (states, slip))
-    assert np.isin(known[:3], (TIED, UNDECIDED)).all()
-    assert known[3].tolist() == [SLIPLESS, SLIPLESS]
-    assert (slips[:3] > 0).all()
+    samples = samples_of(solution)
+    spin, rounding = samples.spin.copy(), samples.spin_rounding.copy()
+    for part in (spin, rounding):
+        part[:, :, :, 1] = -part[:, :, :, 2]
+    for judged in (samples, replace(samples, spin=spin, spin_rounding=rounding)):
+        known = scene.lattice.by_axis(judged.judgement.states[0].known)[2].reshape(4, 2)
+        assert np.isin(known[:3], (TIED, UNDECIDED)).all()
+        assert known[3].tolist() == [SLIPLESS, SLIPLESS]
+    assert (scene.lattice.by_axis(solution.slip[0])[2].reshape(4, 2)[:3] > 0).all()
 
 
 def test_spheres_that_share_one_component_move_along_two_lines():
