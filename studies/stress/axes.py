@@ -226,10 +226,10 @@ def _absent(case: Case, value: str, row: Row) -> Case:
         "a sphere": (lattice.ends == np.ravel_multi_index(middle, lattice.shape)).any(axis=0),
         "a layer": upright & (lattice.ends[0] % lattice.shape[-1] == middle[-1] - 1),
     }[value]  # fmt: skip
-    given: dict[str, Any] = {
-        name: getattr(scene, name) for name in ("coefficients", "viscosity") if getattr(scene, name)
+    given = {name: getattr(scene, name) for name in ("coefficients", "viscosity") if getattr(scene, name)}
+    changed: dict[str, Any] = {
+        name: lattice.by_axis(np.where(is_absent, 0.0, lattice.flat(of))) for name, of in given.items()
     }
-    changed = {name: lattice.by_axis(np.where(is_absent, 0.0, lattice.flat(of))) for name, of in given.items()}
     return replace(case, scene=replace(scene, **changed))
 
 
