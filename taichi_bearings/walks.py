@@ -492,10 +492,10 @@ def _named(value: Any, above: tuple[int, ...]) -> Any:
 
 
 def _feature(value: Any) -> Any:
-    """Return a feature of an argument, which the compiler looks at, as a text with its type; of a tuple of features a
-    list of texts.
+    """Return, as a text that JSON can store, something on which a compiled kernel depends in one of its arguments, such
+    as the type of its numbers. The text is type and value, such as "bool True", which differs from "int 1".
 
-    value : the feature, or a tuple of features.
+    value : what the kernel depends on; for a tuple, the result is a list of such texts.
     """
     return [_feature(item) for item in value] if isinstance(value, tuple) else f"{type(value).__name__} {value}"
 

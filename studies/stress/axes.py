@@ -76,7 +76,8 @@ class Case:
 
     @property
     def in_plain_units(self) -> Scene:
-        """The scene before its units were changed: its exact power, times `unit`, is that of this case."""
+        """The scene in units in which its numbers are near 1: as it was before extreme factors changed its units, if
+        they did. Its exact power times `unit` is the power of `scene`."""
         return self.scaled or self.scene
 
 

@@ -324,8 +324,9 @@ class Centre:
         return replace(self, spin=spin, resting_friction=resting)
 
     def proven_distance(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return a pair: for each of the S slipping contacts a bound (S,) on |slip at the minimum - slip at these
-        spins|; and the mask (R,) of the samples in which two things are proven:
+        """Return how far the slips at the minimum may be from those at these spins: for each of the S slipping contacts
+        of all R samples a bound (S,) on the length of the difference. Return also the mask (R,) of the samples in which
+        the bounds are proven (elsewhere they mean nothing), together with two statements:
 
         * among spins at which no resting contact slips there is one minimum, and it is within this bound;
         * at this minimum friction of the resting contacts, below their limits, can balance the torques of the slipping

@@ -27,6 +27,7 @@ class Grid(Listed):
 
     samples : the samples whose contacts these are, with their spins and friction."""
 
+    # What lattices differ in from contacts in lists; each constant is explained in `Listed`.
     has_two_planes = still_is_exact = friction_is_at_limit = True
     rests_in_parts = friction_is_rounded = False
 

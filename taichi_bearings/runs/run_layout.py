@@ -75,9 +75,10 @@ def _rows(solution: Solution) -> Iterator[Row]:
         yield row.name, found, row.unit, row.text
 
     def of_each(column: np.ndarray, replica_axis: int) -> np.ndarray:
-        """Return a column with a leading axis of samples.
+        """Return a column of the history as an array (R samples, times, ...).
 
-        replica_axis : number of its axis of samples; a column without one is repeated for each sample.
+        column : (times,), the same for all samples, which is repeated for each; or an array with an axis of samples.
+        replica_axis : number of this axis; not used if there is none.
         """
         return np.moveaxis(column, replica_axis, 0) if column.ndim > 1 else np.tile(column, (replicas, 1))
 

@@ -299,8 +299,9 @@ class Bearing(ABC):
         return np.zeros((2, len(spin_axes))) if found is None else found
 
     def clip_to_box(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Return spins clipped to bounds between which some minimum has all its spins, or as they are where no bounds
-        are known. On lattices the bounds are the smallest and largest imposed spins.
+        """Return spins clipped to an interval of each component: at least one minimum is known to have all its spins in
+        these intervals. Where no such intervals are known, return the spins unchanged. On lattices an interval reaches
+        from the smallest to the largest imposed spin, in the form in which solvers store spins.
 
         staggered : spins as solvers store them, (components C, samples R, spheres *N): on lattices times the sign of
             the sublattice, less those of the bottom, 1/time; in other packings times the radius, length/time.

@@ -204,19 +204,19 @@ class PackingPaths(Paths):
             return self._end(number)
         return self._on_path(path, self.strengths[number])
 
-    def _on_path(self, path: Sample, strengths: Strengths) -> Found:
-        """Return the spins and forces of the point on the central path at which a sample is, in the units of the
-        packing.
+    def _on_path(self, sample: Sample, strengths: Strengths) -> Found:
+        """Return the spins and forces of the point of the central path that a sample has reached, in the units of the
+        packing: 1/time and force.
 
-        path : the sample.
+        sample : the sample, with that point, its `iterate`, in units of its own.
         strengths : friction and viscosity of its contacts, with their unit of force.
         """
-        point = path.iterate
+        point = sample.iterate
         spins, _, force = _in_units_of_packing(
-            self.contacts.system, path, strengths, self.fastest, (point.spins, None), point.whole_dual
+            self.contacts.system, sample, strengths, self.fastest, (point.spins, None), point.whole_dual
         )
         asked = self._states_are_asked
-        return Found(spins, force, "interior-point", steps=path.steps, states_are_asked=asked)
+        return Found(spins, force, "interior-point", steps=sample.steps, states_are_asked=asked)
 
     def progress(self) -> Progress:
         """Return the progress of all samples: their minima with proven bounds, once all are found; before that their

@@ -61,16 +61,19 @@ def equal_paths(
 def _steps_in_doubt(
     inner: np.ndarray, upward: np.ndarray, unit: np.ndarray, path: ShortestPaths
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[np.ndarray]]:
-    """Return the steps (crossings of one contact in one direction) that may lie on a lightest path. They lie on a way
-    from the left to the right outside that is longer than the shortest path by less than one unit for each of its
-    contacts: rounding to units cannot hide more.
+    """Return the steps (crossings of one contact in one direction) that may lie on a lightest path by exact weights.
+
+    Weights are rounded down to multiples of a unit, which makes each contact lighter by less than one unit. So a path
+    that is lightest by exact weights is longer, by rounded ones, than the shortest by less than one unit for each
+    contact of the latter. All steps on paths so short are returned.
 
     inner, upward : weights of the contacts of B grids of w columns and h rows: along rows, without the end rows, (B, w
         - 1, h - 2); between rows, (B, w, h - 1).
     unit : (B,) unit of weight in each grid.
     path : shortest paths of the same grids, by weights that were rounded down to multiples of the unit.
-    returns : contact (steps,); faces (2, steps), the one that is left and the one that is entered; weight (steps,); and
-        for each grid the numbers of its steps. Each outside is one face: the first one of the first, or last, column.
+    returns : contact (steps,), its index among all of `upward`, followed by all of `inner`; faces (2, steps), the one
+        that is left and the one that is entered; weight (steps,), not rounded; and for each grid the indices of its
+        steps. Each outside is one face: the first one of the first, or last, column.
     """
     units = np.floor(inner / grids(unit)), np.floor(upward / grids(unit))
     face = np.arange(path.from_left.size).reshape(path.from_left.shape)
@@ -78,6 +81,7 @@ def _steps_in_doubt(
     rightward, leftward, climbing, falling = through(*units, path.from_left, path.from_right)
     beside, within = (face[:, :-1], face[:, 1:]), face[:, 1:-1]
     limit, found = grids(path.length + path.contacts), []
+    # the last number is the index of the first contact of the kind
     for length, tail, head, weight, first in (
         (rightward, *beside, upward, 0),
         (leftward, *beside[::-1], upward, 0),
