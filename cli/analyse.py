@@ -31,12 +31,12 @@ REPORTED = ("power", "slipless", "slipping", "tied", "undecided", "minimum_is_un
 @out_options("Folder for analysis.h5 and figures. [default: into the run]", force="Replace existing files in --out.")
 @json_option
 def command(run: Path, as_json: bool, **asked: Any) -> None:
-    """Find the structure of RUN, a run directory or its run.h5: which contacts slip, and what the others hold together.
+    """Find the structure of RUN, a run directory or its run.h5: which contacts slip, and what the others join.
 
     A contact is slipless if the two spheres roll on each other without slip.
 
     \b
-    minimum cut   the lightest interface of two rigid domains, its power and how far below it the run is
+    minimum cut   the least power if every sphere turned with the bottom or with the top, and the run's power over that
     network       slipless contacts: what they reach, whether and by how many paths they join bottom and top
     domains       spheres that slipless contacts make rotate alike, and the driven plane they are locked to
     bottlenecks   the contacts that most of the shortest slipless paths from bottom to top run through

@@ -108,7 +108,7 @@ def command(
     Times are medians of rounds that time everything once, wall and processor, without compilation. Writes report.md, a
     CSV for each part (of methods one row a checkpoint), and figures of kernels, methods and growth. Programs that are
     not installed, and lattices that do not fit into memory, are left out and named. Exit code 1 if two runs contradict
-    each other: one proves more than the other's power.
+    each other: one proves a bound above the other's power.
 
     \b
     Examples:

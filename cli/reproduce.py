@@ -41,17 +41,17 @@ def command(
 
     \b
     fig1  stationary states of 10x10 discs, viscous and Coulomb, and how often the interface of the two bearing states
-          is the minimum cut; the latter of five times as many samples as --samples says
+          is the minimum cut; for the latter --samples is multiplied by five
     fig2  P(t) of a 3x3x3 Coulomb bearing from random spins and from the minimum cut, with springs (Cundall-Strack) and
           without (rigid limit), and the spins at both ends
     fig3  a 10x10x10 Coulomb bearing whose slipless contacts join bottom and top: spheres, network, a path, its spins
-    fig4  the same cut along the planes that hold most of the path
+    fig4  the sample of fig3, cut along the planes that hold most of the path
     supplement
           the power of the contacts of 32x32x32 spheres: 10^6 iterations of plain gradient descent beside the certified
-          minimum, and which of its decades are real
+          minimum, and which decades of the descent's powers are real
     network
           the claims about Figs. 3 and 4 over samples from 3x3x3 to 32x32x32: P_min / P_cut, slipless network, rigid
-          domains, what slip thresholds make of them
+          domains, and how these depend on the slip threshold
     distributions, drivings, parameters
           other distributions of the friction coefficients, other imposed bearing states, other K, A and F_n
     exponents, surfaces, odd-loops, yield, limits
@@ -62,8 +62,8 @@ def command(
     Writes FIGURE.png, FIGURE.pdf, FIGURE.csv, and the report as report.html (one file, figures inside) and report.json,
     anew after each figure. The same command with the same --out goes on with the figures that are missing,
     and adds others. A claim is confirmed, refined (it holds with a condition or a correction), refuted, or has too few
-    samples for a verdict; of each the report has the sample size, the uncertainty, what it rests on, and what was
-    chosen after looking. All of it takes about 20 minutes on two cores, with --quick four minutes.
+    samples for a verdict; for each the report has the sample size, the uncertainty, what the verdict rests on, and what
+    was chosen after looking. The whole command takes about 20 minutes on two cores, with --quick four minutes.
 
     \b
     Exit codes: 0 no claim is refuted, 1 one is, 2 bad input, 130 interrupted (figures that are done are kept).

@@ -57,8 +57,8 @@ def command(
 ) -> None:
     """Find the state of least power of one system (or of one for each of several seeds), and write a run directory.
 
-    SCENE.toml holds the same keys as the options, dashes as underscores; options win. A run directory or its run.h5
-    serves too: it is run again. The directory gets run.h5, summary.json, scene.toml, power_histogram.csv and figures.
+    SCENE.toml has options as keys, with underscores instead of dashes; options on the command line win. A run directory
+    or its run.h5 is run again. The directory gets run.h5, summary.json, scene.toml, power_histogram.csv and figures.
     Ctrl-C saves what was reached. With --checkpoint-every even a killed run can be resumed, to the same bits.
 
     \b

@@ -45,7 +45,7 @@ from taichi_bearings.words import counted
 )
 @click.option(
     "--out", metavar="DIR", type=FILE_PATH,
-    help="Folder of the scan; if it holds one already, what is missing is solved. [default: outputs/<time>-scan-<id>]",
+    help="Folder of the scan; if it holds a scan, what is missing is solved. [default: outputs/<time>-scan-<id>]",
 )  # fmt: skip
 @json_option
 @click.pass_context

@@ -39,7 +39,7 @@ from taichi_bearings_cli.progress import Display
     "--out",
     metavar="DIR",
     type=FILE_PATH,
-    help="Folder of the report; if it holds one already, that is continued. [default: outputs/<time>-stress-<id>]",
+    help="Folder of the report; a report that it holds already is continued. [default: outputs/<time>-stress-<id>]",
 )
 @json_option
 @click.pass_context

@@ -175,8 +175,8 @@ FRICTION_QUANTITIES = {
 """Descriptions of the friction on lattices, by dimension. These forces prove the lower bound: none exceeds
 the friction limit, and torques that they leave over are paid for."""
 ENERGY_RESIDUAL = (
-    "energy that the balance misses, divided by the energy put in, that at the start included, or by the energy "
-    "dissipated if that is larger"
+    "error of the energy balance, divided by the energy put in (with that at the start) or by the energy dissipated, "
+    "whichever is larger"
 )
 
 # fmt: off
@@ -214,7 +214,8 @@ CHECK_ROWS = _named(
         Quantity("kinetic_energy", "energy", "kinetic energy of the free spheres"),
         Quantity("spring_energy", "energy", "energy stored in the springs of the contacts"),
         Quantity("injected_energy", "energy", "work of the driven spheres since the start"),
-        Quantity("dissipated_energy", "energy", "energy dissipated at the contacts since the start"),
+        Quantity("dissipated_energy", "energy", "work done on the contacts since the start, minus the energy in their"
+                 " springs"),
         Quantity("energy_residual", "1", ENERGY_RESIDUAL),
         Quantity("largest_balance_residual", "force*length",
                  "largest net torque on a free sphere, 0 where all torques balance"),
@@ -268,8 +269,8 @@ SAMPLES = _named(
         Quantity("tied", "1", "number of contacts that are proven to slip in some states of least power and not in"
                  " others",
                  lambda a: a.solution.counts[:, ContactState.TIED]),
-        Quantity("undecided", "1", "number of contacts without a proof of whether they slip, whose slip and force"
-                 " contradict each other",
+        Quantity("undecided", "1", "number of contacts of which nothing is proven and whose slip and force disagree,"
+                 " as they slip below the friction limit or rest at it",
                  lambda a: a.solution.counts[:, ContactState.UNDECIDED]),
         Quantity("states_proven", "1", "whether it is proven of every contact that it slips, does not slip or is tied",
                  lambda a: a.solution.states_proven),
@@ -279,12 +280,12 @@ SAMPLES = _named(
                  _of_unique_slips(lambda a: a.separation.largest_slipless)),
         Quantity("smallest_slipping_slip", "length/time", "smallest slip speed of a contact that counts as slipping",
                  _of_unique_slips(lambda a: a.separation.smallest_slipping)),
-        Quantity("separation_decades", "1", "powers of ten between two slip speeds: the smallest of a contact that"
-                 " counts as slipping and the largest of one that counts as slipless, or the rounding of the imposed"
-                 " spins if that is larger",
+        Quantity("separation_decades", "1", "log10 of the ratio of two slip speeds, the smallest of a slipping contact"
+                 " and the largest of a slipless one; the rounding of the imposed spins replaces the latter if it is"
+                 " larger",
                  _of_unique_slips(_decades)),
-        Quantity("slip_threshold", "length/time", "threshold of slip speeds, up to which a contact counts as slipless;"
-                 " given by the user, or else chosen by the method and used only where no proof decides",
+        Quantity("slip_threshold", "length/time", "slip speed up to which a contact counts as slipless; if the user"
+                 " gives none, the method chooses one, which decides only where no proof does",
                  lambda a: a.solution.slip_threshold, r"v_\mathrm{slip}"),
         Quantity("largest_balance_residual", "force*length", "largest component of the net torque on a free"
                  " sphere, 0 where all torques balance; for packings divided by the radius of the sphere",
@@ -324,8 +325,8 @@ FINDINGS = _named(
                  "whether every other cut (interface between spheres that turn with the bottom and with the top) has "
                  "more power than the minimum cut"),
         Quantity("next_cut_over_minimum", "1",
-                 "power of the second weakest cut (interface between spheres that turn with the bottom and with"
-                 " the top, both without islands), divided by that of the weakest"),
+                 "power of the second weakest cut, divided by that of the weakest; a cut separates two connected"
+                 " groups of spheres, of which one turns with the bottom and one with the top"),
         Quantity("step_error", "1", "estimated error of the spins due to the time step, divided by the largest spin"),
         Quantity("accurate_time_step", "time",
                  "time step with which step_error, the relative error of the spins, is below 0.01"),
@@ -352,12 +353,11 @@ STRUCTURE = {
                  lambda s: s.interface and s.interface.power, r"P_\mathrm{cut}"),
         Quantity("power_over_cut", "1", "power / power_minimum_cut",
                  lambda s: s.interface and _ratio(s.power, s.interface.power), r"P\,/\,P_\mathrm{cut}"),
-        Quantity("cut_is_unique", "1", "whether every other interface is proven to have more power than the minimum"
-                 " cut",
+        Quantity("cut_is_unique", "1", "whether every other cut is proven to have more power than the minimum cut",
                  lambda s: s.interface and s.interface.unique),
-        Quantity("next_cut_over_cut", "1", "power of the second weakest interface between spheres that turn with the"
-                 " bottom and with the top, both without islands, over that of the minimum cut; of the potentials, if"
-                 " that is what is least",
+        Quantity("next_cut_over_cut", "1", "power (or potential, if that is what is least) of the second weakest cut,"
+                 " divided by that of the minimum cut; a cut separates two connected groups of spheres, of which one"
+                 " turns with the bottom and one with the top",
                  lambda s: s.interface and s.interface.next_over,
                  r"P_\mathrm{cut,2}\,/\,P_\mathrm{cut}"),
         Quantity("cut_contacts", "1", "number of contacts that the minimum cut crosses",
@@ -390,10 +390,12 @@ STRUCTURE = {
         Quantity("winds_y", "1", "whether slipless contacts form a loop around the periodic lattice along y",
                  lambda s: s.network.winds_around(1)),
         Quantity("spanning_winds_x", "1",
-                 "whether slipless contacts joined to bottom and top form a loop around the lattice along x",
+                 "whether a network of slipless contacts that joins bottom and top has a loop around the lattice"
+                 " along x",
                  lambda s: s.network.winds_around(0, spanning=True)),
         Quantity("spanning_winds_y", "1",
-                 "whether slipless contacts joined to bottom and top form a loop around the lattice along y",
+                 "whether a network of slipless contacts that joins bottom and top has a loop around the lattice"
+                 " along y",
                  lambda s: s.network.winds_around(1, spanning=True)),
     ],
     "rigid domains": [
@@ -402,7 +404,8 @@ STRUCTURE = {
         Quantity("domains_locked_to", "1", "number of rigid domains that turn with each driven plane; mixed: with"
                  " different planes in different spin components; partly: with one in some components only",
                  lambda s: s.rigid_domains.domains_of_kind()),
-        Quantity("free_spheres_locked_to", "1", "number of free spheres in these rigid domains",
+        Quantity("free_spheres_locked_to", "1", "number of free spheres in the rigid domains of each kind"
+                 " in domains_locked_to",
                  lambda s: s.rigid_domains.spheres_of_kind(s.network.free)),
         Quantity("largest_intermediate_domain", "1",
                  "number of spheres of the largest rigid domain that does not turn with one driven plane in all spin"

@@ -167,8 +167,8 @@ class RunSettings:
     periodic: tuple[str, ...] = option(
         (),
         PERIODIC_AXES,
-        "Periodic axes, along which the last spheres touch the first: not the height, and with even numbers of "
-        "spheres.",
+        "Periodic axes, along which the last spheres touch the first. The height cannot be periodic. The number of "
+        "spheres along a periodic axis must be even.",
     )
     driven: str = option(
         BETWEEN_PLANES,
@@ -296,7 +296,12 @@ class RunSettings:
         not_scanned="it changes no result, so set it for all samples",
         rare=True,
     )
-    figures: str = how("all", OneOf("all", "none"), "Figures to draw into the run directory.")
+    figures: str = how(
+        "all",
+        OneOf("all", "none"),
+        "all: draw power_histogram.png and, for methods with iterations, history.png into the run directory. none: "
+        "draw nothing.",
+    )
     owned: tuple[tuple[str, Any], ...] = ()
 
     def __init__(self, owned: tuple[tuple[str, Any], ...] = (), **given: object) -> None:
