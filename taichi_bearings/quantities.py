@@ -240,8 +240,8 @@ SAMPLES = _named(
                  lambda a: a.solution.gap, r"(P - P_\mathrm{low})\,/\,P"),
         Quantity("status", "1", "how the solve ended: certified (the gap is within the tolerance); restricted (it is,"
                  " but the lower bound is proven only among the spins that `proof` names); stationary (a"
-                 " dynamics came to rest); finished (it reached its duration); stalled (the method got no closer);"
-                 " step-limit, time-limit, interrupted, not-finite (numbers overflowed); in scans also failed",
+                 " dynamics came to rest); finished (a dynamics reached its duration); stalled (the method got no"
+                 " closer); step-limit, time-limit, interrupted, not-finite (numbers overflowed); in scans also failed",
                  lambda a: [status.value for status in a.ended]),
         Quantity("method", "1", "method that solved the sample", lambda a: a.solution.method),
         Quantity("law", "1", "contact law", lambda a: a.solution.scene.law.name),
@@ -320,7 +320,7 @@ FINDINGS = _named(
         Quantity("driven_power", "energy/time",
                  "power dissipated by contacts between two driven spheres, not part of the power"),
         Quantity("slipless_motions", "1", "number of independent motions without slip that the free spheres have"
-                 " while the driven ones rest, without spheres that are not connected to a driven one"),
+                 " while the driven ones rest; spheres that are not connected to a driven one do not count"),
         Quantity("cut_is_unique", "1",
                  "whether every other cut (interface between spheres that turn with the bottom and with the top) has "
                  "more power than the minimum cut"),

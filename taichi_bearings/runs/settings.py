@@ -299,8 +299,8 @@ class RunSettings:
     figures: str = how(
         "all",
         OneOf("all", "none"),
-        "all: draw power_histogram.png and, for methods with iterations, history.png into the run directory. none: "
-        "draw nothing.",
+        "Figures drawn into the run directory: all, which are power_histogram.png and, for methods with iterations, "
+        "history.png; or none.",
     )
     owned: tuple[tuple[str, Any], ...] = ()
 
