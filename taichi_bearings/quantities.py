@@ -238,8 +238,8 @@ SAMPLES = _named(
         Quantity("gap", "1", "(power - lower_bound) / power, or with the potential instead of the power; 0 where"
                  " a state without any slip is proven to exist",
                  lambda a: a.solution.gap, r"(P - P_\mathrm{low})\,/\,P"),
-        Quantity("status", "1", "how the solve ended: certified (the gap is within the tolerance); restricted (it is,"
-                 " but the lower bound is proven only among the spins that `proof` names); stationary (a"
+        Quantity("status", "1", "how the solve ended: certified (the gap is within the tolerance); restricted (it is"
+                 " too, but the lower bound is proven only among the spins that `proof` names); stationary (a"
                  " dynamics came to rest); finished (a dynamics reached its duration); stalled (the method got no"
                  " closer); step-limit, time-limit, interrupted, not-finite (numbers overflowed); in scans also failed",
                  lambda a: [status.value for status in a.ended]),
@@ -338,7 +338,7 @@ FINDINGS = _named(
                  " direction"),
         Quantity("yield_torque", "force*length", "torque above which the top is proven to move"),
         Quantity("yield_torque_lower_bound", "force*length", "torque up to which friction is proven to hold the top"
-                 " at rest; if the bottom turns, not to move in the direction of the torque"),
+                 " at rest; if the bottom turns, to keep the top from turning in the direction of the torque"),
         Quantity("amplitude", "1", "spin of the top under the torque, divided by its imposed spin; 0 where friction"
                  " holds the top at rest"),
         Quantity("newton_steps", "1", "number of matrix factorisations made by the method rigid-limit"),
