@@ -243,7 +243,7 @@ def refined(labels: np.ndarray) -> np.ndarray:
 
 def _domains_of_component(network: SliplessNetwork, component: int, is_uneven: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return two arrays (spheres,): the number of the domain of each sphere in one spin component, and the driven
-    planes to which that domain is locked, as `Lock`.
+    planes to which that domain is locked, as `Lock`: those of which it has a sphere.
 
     network : the slipless contacts.
     component : number of the component.
@@ -269,4 +269,7 @@ def _domains_of_component(network: SliplessNetwork, component: int, is_uneven: b
     piece, bottom, top = (pieces[of].ravel() for of in (node, bottom_node, top_node))
     # all spheres locked to the bottom are one domain, and all locked to the top another
     label = np.unique(np.where(piece == bottom, 0, np.where(piece == top, 1, piece + 2)), return_inverse=True)[1]
-    return label, Lock.BOTTOM * (piece == bottom) + Lock.TOP * (piece == top)
+    # which may reach the top in some layers only, where both planes have the same spin
+    lock = np.zeros(label.max() + 1, dtype=np.int64)
+    np.bitwise_or.at(lock, label, Lock.BOTTOM * (piece == bottom) + Lock.TOP * (piece == top))
+    return label, lock[label]

@@ -433,7 +433,11 @@ class Laboratory:
                 locks = tuple(("body", body, layer) in own for body in (0, 1))
                 label = ("bottom",) if locks[0] else ("top",) if locks[1] else own
                 found.append((label, locks))
-            each.append(found)
+            # a domain that joins both planes in one layer is locked to both
+            whole = {}
+            for label, locks in found:
+                whole[label] = tuple(a or b for a, b in zip(locks, whole.get(label, locks), strict=True))
+            each.append([(label, whole[label]) for label, _ in found])
         labels = [tuple(of[n][0] for of in each) for n in range(len(self.driven))]
         locks = [tuple(of[n][1] for of in each) for n in range(len(self.driven))]
         return labels, locks

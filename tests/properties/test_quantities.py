@@ -163,6 +163,12 @@ def test_numbers_of_planes_in_other_states_and_closed_sides(scene):
     check(answer_of(scene))
 
 
+def test_a_domain_that_joins_both_planes_in_one_layer_is_locked_to_both():
+    """One column slips nowhere, as the top has the spin of the bottom there."""
+    ones = np.ones((1, 2, 3)), np.ones((2, 1, 3)), np.ones((2, 2, 2))
+    check(answer_of(Scene(coefficients=ones, top=(1, 0, -1, 0), bottom=(1, 0, 1, 1), radius=1.0)))
+
+
 @st.composite
 def packings(draw):
     """Small packings of every kind."""
