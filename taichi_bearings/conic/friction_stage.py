@@ -155,7 +155,7 @@ class FrictionStage:
         prepared = False
         for _ in range(MOST_NEWTON_STEPS):
             # Torques that are left; the stage ends when they are small.
-            force = self._with_viscosity(friction, friction.limited(trial), spins)
+            force = friction.limited(trial) + self._viscous(friction, spins)
             torque = self._torque(force, inertia, spins - base)
             if prepared and np.abs(torque).max(initial=0.0) <= STAGE_TORQUE * scale + noise:
                 return self._corrected(friction, base, spins, trial, force, scale)
@@ -181,16 +181,15 @@ class FrictionStage:
         found: np.ndarray = start + resistance * self.radius * self.system.differences(spins)
         return found
 
-    def _with_viscosity(self, friction: Friction, force: np.ndarray, spins: np.ndarray) -> np.ndarray:
-        """Return the forces of all contacts with their viscous part, (d, n).
+    def _viscous(self, friction: Friction, spins: np.ndarray) -> np.ndarray | float:
+        """Return the viscous parts (d, n) of the contact forces; 0 for a law without viscosity.
 
         friction : laws of the n contacts, of which the viscosity is used.
-        force : (d, n), without the viscous part.
-        spins : (unknowns,), at which the viscous forces are computed, 1/time.
+        spins : (unknowns,), 1/time.
         """
         if friction.viscosity is None:
-            return force
-        found: np.ndarray = force + friction.viscosity * self.radius * self.system.differences(spins)
+            return 0.0
+        found: np.ndarray = friction.viscosity * self.radius * self.system.differences(spins)
         return found
 
     def _torque(self, force: np.ndarray, inertia: float, gained: np.ndarray) -> np.ndarray:
@@ -284,7 +283,7 @@ class FrictionStage:
         def slope(length: float) -> float:
             """Return the derivative of the function that the stage minimises, along the step at the length `length` (0
             to 1)."""
-            force = self._with_viscosity(friction, friction.limited(trial + length * change), spins + length * step)
+            force = friction.limited(trial + length * change) + self._viscous(friction, spins + length * step)
             work = float((force * change / friction.resistance).sum())
             return friction.inertia * float((gained + length * step) @ step) + work
 
@@ -335,19 +334,7 @@ class FrictionStage:
             spins = spins + step
         else:
             force, spins = self._corrected_by_gradients(friction, base, spins, force, scale)
-        return StageEnd(spins, force, self._without_viscosity(friction, force, spins), friction.slips(trial))
-
-    def _without_viscosity(self, friction: Friction, force: np.ndarray, spins: np.ndarray) -> np.ndarray:
-        """Return the forces (d, n) of the contacts without their viscous part.
-
-        friction : laws of the n contacts, of which the viscosity is used.
-        force : (d, n), with the viscous part.
-        spins : (unknowns,), at which the viscous forces are computed, 1/time.
-        """
-        if friction.viscosity is None:
-            return force
-        found: np.ndarray = force - friction.viscosity * self.radius * self.system.differences(spins)
-        return found
+        return StageEnd(spins, force, force - self._viscous(friction, spins), friction.slips(trial))
 
     def _corrected_by_gradients(
         self, friction: Friction, base: np.ndarray, spins: np.ndarray, force: np.ndarray, scale: float
@@ -368,7 +355,7 @@ class FrictionStage:
         """
         rubs, direction, before, least, best = friction.limit > 0, np.zeros_like(spins), np.inf, np.inf, (force, spins)
         for number in range(MOST_GRADIENTS + 1):
-            held = vector_length(self._without_viscosity(friction, force, spins))
+            held = vector_length(force - self._viscous(friction, spins))
             if number and (held > STILL_LINEAR * friction.limit)[rubs].any():
                 break
             torque = self._torque(force, friction.inertia, spins - base)
