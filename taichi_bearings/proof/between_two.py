@@ -186,8 +186,8 @@ def _closed(pulls: Pulls, links: list[Link]) -> list[Link]:
         at: dict[Node, set[int]] = {node: set() for node in turning}
         for link in links:
             for node in link.nodes:
-                at.setdefault(node, set()).update(link.contacts.tolist())
-        kept = [link for link in links if all(at[node] == turning.get(node) for node in link.nodes)]
+                at[node].update(link.contacts.tolist())
+        kept = [link for link in links if all(at[node] == turning[node] for node in link.nodes)]
         if len(kept) == len(links):
             return kept
         links = kept
