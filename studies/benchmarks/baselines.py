@@ -76,15 +76,17 @@ class NumpySweep:
     """
 
     def __init__(self, arrays: Arrays) -> None:
-        """Take the arrays, whose spins the sweeps change, and make all buffers: for each axis and spin component the
-        forces on all contacts along the axis; two of that length for intermediate results; and the sum of the forces on
-        each sphere.
+        """Store the arrays and allocate the buffers of a sweep.
+
+        arrays : state of one lattice; sweeps change its spins in place.
         """
+        # kept : of each axis, the spin components whose change across a contact along this axis is a slip
         self.arrays, self.layout, self.kept = arrays, arrays.layout, arrays.kept
         most = self.layout.sites + self.layout.strides[0]
-        self.force = [[np.empty(most, arrays.dtype) for _ in kept] for kept in self.kept]
-        self.square, self.scratch = np.empty((2, most), arrays.dtype)
-        self.pull = np.empty(self.layout.sites, arrays.dtype)
+        # force[axis][i] : on all contacts along the axis, from the i-th of these components
+        self.force = [[np.empty(most, arrays.dtype) for _ in components] for components in self.kept]
+        self.square, self.scratch = np.empty((2, most), arrays.dtype)  # intermediate results
+        self.pull = np.empty(self.layout.sites, arrays.dtype)  # sum of the forces on each sphere
 
     def repeat(self, sweeps: int) -> None:
         """Make `sweeps` sweeps."""

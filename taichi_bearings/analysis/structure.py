@@ -268,11 +268,11 @@ class Structure:
 
     @cached_property
     def torque_flow(self) -> TorqueFlow:
-        """The torque on the driven bodies, the power they spend, and the share of it that slipless contacts carry.
+        """Torques on the driven bodies, the power that each spends, and the share of it that slipless contacts carry.
 
-        Torque flows through the contacts from one body to the other. The share of a contact in the power is its force
-        times the difference of the imposed speeds of both bodies, times the difference of the heights of its spheres,
-        where the height is 0 at one body and 1 at the other. These shares add up to the power.
+        The share is None unless two bodies are driven, both in bearing states. It weights each contact by its force
+        times the difference of the imposed speeds of both bodies, times the difference of the heights of its spheres:
+        `driving.heights` is 0 at one body and 1 at the other. These weights add up to the power.
         """
         whole, imposed, (odd, sign) = self.whole, self.scene.driven_speed, self.signs
         first, second = whole.contact

@@ -85,10 +85,10 @@ class Descent:
 
         shared : system, order of elimination and Newton matrix of all samples.
         spheres : number of spheres, by which the first gap for settling is chosen.
-        small : True to treat samples as small ones, several together.
-        settles : True to settle contact states here. This needs a law whose force does not depend on the slip speed, so
-            that contacts rest.
-        asked : True if contact states are wanted, and not only a bound on the power.
+        small : True if several samples are solved together, as is faster in small networks.
+        settles : True if this descent can settle contact states: the force of the law does not depend on the slip
+            speed, so some contacts rest.
+        asked : True if the caller wants contact states, and not only a bound on the power.
         """
         self.shared, self.spheres, self.small, self.settles, self.asked = shared, spheres, small, settles, asked
         self.step_seconds = 0.0  # duration of the last Newton step, seconds

@@ -32,19 +32,19 @@ class LastNetwork(threading.local):
     """The contact system and the Newton matrix of the network that a thread solved last, for further samples on the
     same network. Each thread has its own, as a factorisation writes its numbers into the matrix.
 
-    of : identity of this network: an object that is compared by ==, and a tuple of arrays; None before the first.
-    made : its contact system, and what its samples share; None for the latter if it is large or not made yet.
+    of : key of this network: an object that is compared by ==, and a tuple of arrays; None before the first.
+    made : pair of its contact system and of its Newton matrix with the order of elimination; the second is None if it
+        is too large to be kept or not made yet. None before the first network.
     """
 
     of: tuple[object, tuple[np.ndarray, ...]] | None = None
     made: Made | None = None
 
     def find(self, of: object, arrays: tuple[np.ndarray, ...], make: Callable[[], Made]) -> Made:
-        """Return the contact system of a network, and what its samples share: the field `made` if it belongs to this
-        network, else the result of `make`, which is then kept in that field.
+        """Return the pair `made` if it belongs to this network; else call `make`, and keep and return its result.
 
-        of, arrays : identity of the network: an object that is compared by ==, and arrays.
-        make : function that makes them.
+        of, arrays : the two parts of the key of the network.
+        make : function without arguments that returns the pair.
         """
         known = self.of
         same = known is not None and known[0] == of and all(map(np.array_equal, known[1], arrays))

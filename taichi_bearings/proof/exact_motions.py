@@ -101,12 +101,17 @@ class ExactMotions:
 
     @classmethod
     def _found(cls, network: JudgedNetwork, number: np.ndarray, rests: np.ndarray) -> ExactMotions:
-        """Return a large set of contacts that can all roll at once, and the motions in which they do, as :meth:`of`
-        does, but without storing it.
+        """Return a large set of contacts that can all roll at once, and the motions in which they do (:meth:`of`
+        without its store).
+
+        First all spheres are tried whose motions the network needs. In each round parts of them in which nothing has
+        to be proven are left out; then spheres whose motion is not exact are. The result is empty (:meth:`none`) if no
+        sphere is left after MOST_ROUNDS rounds, or if there are more than MOST_EXACT_SPHERES in a sample.
 
         network : N spheres and E contacts of R samples of a packing.
         number : (N, 3), the index of each spin component among the unknowns, -1 for those that are none.
-        rests : (E,) mask of the contacts that shall roll."""
+        rests : (E,) mask of the contacts that may be among those that roll.
+        """
         spheres, (first, second) = network.reached, network.graph.contact
         following: np.ndarray | None = None  # (N, 3) mask: unknowns that follow from others, once it is known
         for _ in range(MOST_ROUNDS if spheres.sum() <= MOST_EXACT_SPHERES * network.count else 0):

@@ -359,18 +359,21 @@ def _with_parts_at_rest(bounds: Bounds, far: np.ndarray, before: list[States]) -
 
 
 def _by_domains(network: JudgedNetwork, rests: np.ndarray) -> np.ndarray | str:
-    """Return the states (m,) of the m contacts of a network if it is proven to have one minimum, at which the contacts
-    in `rests`, and all others within their domains, rest and the others slip; else a text with the reason why this is
-    not proven. (In each component of the spins resting contacts join spheres to domains, which turn as one.)
+    """Try to prove that there is one minimum, at which the contacts in `rests` rest.
 
-    network : stored spins and friction; each component of a slip depends on one component of the spins.
+    In each spin component resting contacts join spheres to domains, which turn as one. Contacts within a domain rest,
+    too; contacts between two domains slip.
+
+    network : m contacts with stored spins and friction; each component of a slip depends on one spin component.
     rests : (m,) mask of the contacts that are taken to rest.
+
+    Returns the states (m,) of the contacts if that is proven, else a sentence that says why not.
     """
     motion = _in_domains(network, rests)
     if isinstance(motion, str):
         return motion
-    near = _one_minimum(motion, Slipping.of(motion))
-    return near if isinstance(near, str) else _as_stored(motion)
+    minimum = _one_minimum(motion, Slipping.of(motion))
+    return minimum if isinstance(minimum, str) else _as_stored(motion)
 
 
 def _in_domains(network: JudgedNetwork, rests: np.ndarray) -> Motion | str:

@@ -41,13 +41,14 @@ AMPLITUDE_ERROR = 1e-13  # relative error of an amplitude that is found by repea
 
 
 def refuse_driven(settings: RunSettings, method: type[MethodOptions]) -> None:
-    """Raise InputError for settings with a torque that also impose the spin of the top, or turn the bottom with a law
-    that does not allow it.
+    """Raise InputError if settings have a torque and also impose a motion that it leaves free: `spin_top`; `bottom`
+    where `top` is not given or zero; any motion of the bottom under a law that does not allow both planes to turn.
 
     settings : settings of the run; without a torque nothing is refused.
-    method : class of the method that the settings name.
+    method : class of the method that the settings name; nothing is refused for dynamics, which have no torque and say
+        so themselves.
     """
-    if settings.torque is None or method.is_dynamics:  # dynamics do not use a torque, and say so themselves
+    if settings.torque is None or method.is_dynamics:
         return
     for key in ("spin_top", *(() if any(settings.top or ()) else ("bottom",))):
         if key in settings.given:

@@ -283,14 +283,16 @@ class Driving:
         return self.impose(found, spin_axes)
 
     def laboratory(self, carried: np.ndarray, rest: np.ndarray | None, spin_axes: tuple[int, ...]) -> Pair:
-        """Return spins, (samples R, spheres *N) of discs or (R, *N, 3) of spheres, 1/time, and an array of what their
-        rounding leaves out, from the numbers that solvers store.
+        """Return spins in the laboratory frame, in twice the precision, from the numbers that solvers store.
 
-        carried : spins as solvers store them, (components C, R, *N): on lattices times a sign that alternates between
-            neighbours, less those of the bottom, 1/time; in packings times the radius, length/time.
-        rest : (C, R, *N), small numbers to add to these, or None for nothing; not used on driven spheres, whose imposed
-            spins are known in twice the precision.
-        spin_axes : numbers of the C components.
+        carried : spins as solvers store them, (components C, R, *N), with *N the shape of the lattice or the number of
+            spheres. Lattices: spin times a sign that alternates between neighbours, minus that of the bottom, 1/time.
+            Packings: spin times radius, length/time.
+        rest : (C, R, *N), small corrections, so that carried + rest is more precise; None for 0. Not used on driven
+            spheres, whose imposed spins are known in twice the precision.
+        spin_axes : axes of the C components.
+
+        Returns spins and corrections of their rounding, 1/time, both (R, *N) of discs or (R, *N, 3) of spheres.
         """
         # all components as they are stored: those that were solved for, others, and the imposed ones
         every = self.every

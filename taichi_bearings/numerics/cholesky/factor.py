@@ -341,17 +341,20 @@ class CalledFactor(Factor):
         self._seen = -1  # `changes` of the memory when this factor took it
 
     def factorise(self) -> np.ndarray:
-        """Assemble and eliminate all fronts, the dense blocks of the matrix, batch by batch; return a mask (1,), True
-        if the matrix is positive definite."""
+        """Factorise the matrix: assemble and eliminate its fronts (dense blocks), batch by batch.
+
+        Returns a mask (1,) for the one matrix: True if it is positive definite.
+        """
         self._take_memory()
         for work in self._work:
             look_up()
             work.assemble()
             if not work.eliminate():
                 return np.zeros(1, dtype=bool)
+        # Substitutions read reciprocals of pivots. Kernels store them so, LAPACK (called for large fronts) does not.
         called = self._layout.called_pivots
         inverse = 1 / self._numbers[called]
-        self._numbers[called] = inverse  # as kernels write them, and substitutions read them
+        self._numbers[called] = inverse
         # a number that is not finite in a branch makes a pivot of each front above it not finite
         return np.array([np.isfinite(inverse).all() and np.isfinite(self._numbers[self._layout.last_pivots]).all()])
 
