@@ -35,10 +35,9 @@ from typing import NamedTuple
 
 import numpy as np
 import rustworkx
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.analysis.slipless_network import SliplessNetwork
+from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.plain_files import Json
 from taichi_bearings.stages import alike, each, stage
 
@@ -253,7 +252,7 @@ def _ends_of_pairs(network: SliplessNetwork) -> Iterator[tuple[np.ndarray, np.nd
         # count pairs with a piece in common; spheres with the same pieces are counted together
         counts = Counter(here.values()), Counter(there.values())
         pairs = sum(n * m for one, n in counts[0].items() for other, m in counts[1].items() if one & other)
-        first, second = (np.array([n for n, pieces in ends.items() if pieces], np.int64) for ends in (here, there))
+        first, second = (np.array([n for n, linked in ends.items() if linked], np.int64) for ends in (here, there))
         yield (first, second, pairs) if len(first) <= len(second) else (second, first, pairs)
 
 
@@ -271,15 +270,14 @@ def _linked_pieces(network: SliplessNetwork) -> dict[int, frozenset[int]]:
     sites, free = len(network.body), network.free.ravel()
     # connected pieces of the free spheres alone
     inner = free[network.ends].all(axis=0)
-    ones = np.ones(int(inner.sum()), dtype=np.int8)
-    label = connected_components(csr_array((ones, tuple(network.ends[:, inner])), shape=(sites, sites)), False)[1]
+    label = pieces(sites, *network.ends[:, inner])
     # links from driven spheres into these pieces, in both directions
     found: dict[int, set[int]] = {}
     for here, there in (network.ends, network.ends[::-1]):
         is_driven = ~free[here]
         for sphere, piece in zip(here[is_driven].tolist(), label[there[is_driven]].tolist(), strict=True):
             found.setdefault(sphere, set()).add(piece)
-    return {sphere: frozenset(pieces) for sphere, pieces in found.items()}
+    return {sphere: frozenset(linked) for sphere, linked in found.items()}
 
 
 class _Neighbours(NamedTuple):

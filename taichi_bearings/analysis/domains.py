@@ -23,10 +23,9 @@ from enum import IntFlag
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.analysis.slipless_network import MOST_BODIES, SliplessNetwork
+from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.scene.interface import SAME_STATE
 
 
@@ -253,8 +252,8 @@ def _domains_of_component(network: SliplessNetwork, component: int, is_uneven: b
     # contacts along the axis of the component do not slip by it and join nothing
     chosen = network.axis != component
     if not is_uneven:
-        pieces = network.pieces(chosen)
-        piece, bottom, top = pieces[network.body], pieces[0], pieces[-1]
+        number = network.pieces(chosen)
+        piece, bottom, top = number[network.body], number[0], number[-1]
         return piece, Lock.BOTTOM * (piece == bottom) + Lock.TOP * (piece == top)
     # two nodes for each layer across the axis stand for its bottom and its top spheres
     shape, spheres = network.shape, network.whole.spheres
@@ -264,9 +263,8 @@ def _domains_of_component(network: SliplessNetwork, component: int, is_uneven: b
     top_node = bottom_node + 1
     node[..., 0], node[..., -1] = bottom_node[..., 0], top_node[..., -1]
     ends, nodes = node.ravel()[network.ends[:, chosen]], spheres + 2 * shape[component]
-    graph = csr_array((np.ones(ends.shape[1], dtype=np.int8), (ends[0], ends[1])), shape=(nodes, nodes))
-    pieces = connected_components(graph, directed=False)[1]
-    piece, bottom, top = (pieces[of].ravel() for of in (node, bottom_node, top_node))
+    number = pieces(nodes, *ends)
+    piece, bottom, top = (number[of].ravel() for of in (node, bottom_node, top_node))
     # all spheres locked to the bottom are one domain, and all locked to the top another
     label = np.unique(np.where(piece == bottom, 0, np.where(piece == top, 1, piece + 2)), return_inverse=True)[1]
     # which may reach the top in some layers only, where both planes have the same spin

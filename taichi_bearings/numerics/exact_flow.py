@@ -15,10 +15,9 @@ that the flow is a largest one. Letters: E edges, P pairs of nodes that edges jo
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
-from taichi_bearings.numerics.minimum_cut import largest_flow, reachable_from
+from taichi_bearings.numerics.graphs import pieces
+from taichi_bearings.numerics.minimum_cut import flow_by_edge, largest_flow, reachable_from
 
 ROUND_BITS = 57  # most bits of the flows of one round, all parts together
 SHORT = 2**59  # if the totals of capacities are below this, all sums fit into 64 bits
@@ -64,19 +63,9 @@ def exact_flow(
     short = max([0, int(source.sum()), int(sink.sum()), *total]) < SHORT
     kind = np.int64 if short else object
     left = _Residual(*(values.astype(kind) for values in (total, total, source, sink)))
-    _take_largest_flow(left, pairs, _connected_parts(nodes, pairs[:, total > 0]))
-    flow = _flow_by_edge(total - left.there, capacity, own, ends[0] > ends[1])
-    return flow.astype(kind), source - left.fed, sink - left.drained
-
-
-def _connected_parts(nodes: int, pairs: np.ndarray) -> np.ndarray:
-    """Return the number (nodes,) of the connected part of a graph that each node belongs to.
-
-    nodes : number of nodes.
-    pairs : (2, edges) the two nodes that each edge joins.
-    """
-    graph = sparse.csr_array((np.ones(pairs.shape[1], dtype=np.int8), tuple(pairs)), shape=(nodes, nodes))
-    return np.asarray(connected_components(graph, directed=False)[1])
+    _take_largest_flow(left, pairs, pieces(nodes, *pairs[:, total > 0]))
+    flow = flow_by_edge((total - left.there).astype(kind), capacity.astype(kind), own, ends)
+    return flow, source - left.fed, sink - left.drained
 
 
 def _take_largest_flow(left: _Residual, pairs: np.ndarray, part: np.ndarray) -> None:
@@ -156,29 +145,3 @@ def _flow_of_round(
     flow = largest_flow(np.stack([low, high]), capacity, at_most)
     sent, taken[begins], given[ends] = np.split(flow, [len(there), len(there) + len(begins)])
     return sent, taken, given
-
-
-def _flow_by_edge(flow: np.ndarray, capacity: np.ndarray, own: np.ndarray, reversed_: np.ndarray) -> np.ndarray:
-    """Return the flow (edges,) of each edge, from the flow of each pair of nodes: edges that join the same two nodes
-    share it, each filled before the next one gets anything.
-
-    flow : (pairs,) flow from the lower to the upper node of each pair.
-    capacity : (edges,) most that an edge carries.
-    own : (edges,) number of the pair of nodes that each edge joins.
-    reversed_ : (edges,) True for edges that are given from the upper node to the lower one, whose flow is counted that
-        way.
-    """
-    if len(flow) == len(own):
-        shared = flow[own]
-    else:
-        order = np.argsort(own, kind="stable")
-        ordered, group = capacity[order].astype(object), own[order]
-        total = np.add.accumulate(ordered, dtype=object) if len(ordered) else ordered
-        first = np.flatnonzero(np.diff(group, prepend=-1))
-        # capacity of the edges of the same pair that are filled before each edge
-        before = np.empty(len(own), dtype=object)
-        before[order] = total - ordered - (total - ordered)[first][group]
-        size, sign = np.abs(flow)[own], np.where(flow[own] > 0, 1, -1)
-        shared = sign * np.maximum(np.minimum(size - before, capacity), 0)
-    found: np.ndarray = np.where(reversed_, -shared, shared)
-    return found

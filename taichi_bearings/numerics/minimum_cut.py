@@ -377,7 +377,9 @@ def flow_by_scipy(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.nd
     pairs, own = np.unique(np.sort(ends, axis=0), axis=1, return_inverse=True)
     # rings of two spheres have two contacts between the same pair
     if pairs.shape[1] < ends.shape[1] and capacity.ndim == 1:
-        return _flow_of_parallel_edges(ends, capacity, pairs, own.ravel(), at_most)
+        total = np.zeros(pairs.shape[1], dtype=np.int64)
+        np.add.at(total, own.ravel(), capacity)
+        return flow_by_edge(flow_by_scipy(pairs, total, at_most), capacity, own.ravel(), ends)
     row, column = np.concatenate([ends, ends[::-1]], axis=1).astype(np.int32)  # the only indices SciPy 1.11 takes
     left_over = np.broadcast_to(capacity, ends.shape).ravel()  # of both directions
     at_start = left_over[: ends.shape[1]].copy()
@@ -394,23 +396,20 @@ def flow_by_scipy(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.nd
         at_most = min(at_most - (int(result.flow_value) << shift), cut)
 
 
-def _flow_of_parallel_edges(
-    ends: np.ndarray, capacity: np.ndarray, pairs: np.ndarray, own: np.ndarray, at_most: int
-) -> np.ndarray:
-    """Return a largest flow (edges,) by SciPy where several edges join the same two nodes: the flow of each pair of
-    nodes is found first; then each edge of the pair takes what it can.
+def flow_by_edge(flow: np.ndarray, capacity: np.ndarray, own: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Return the flow (edges,) of each edge, from its first to its second end, from the flow of each pair of nodes.
+    Edges that join the same two nodes share it; each is filled before the next one gets anything.
 
-    ends : (2, edges) nodes, lower and upper.
-    capacity : (edges,) int64 below 2^62, of both ways.
-    pairs : (2, pairs) the different pairs of nodes that edges join.
-    own : (edges,) number of the pair that each edge joins.
-    at_most : a number that no flow exceeds.
+    flow : (pairs,) flow from the lower to the upper node of each pair, whole numbers.
+    capacity : (edges,) most that an edge carries, of the same type: int64, or numbers of Python of any length (object).
+    own : (edges,) number of the pair of nodes that each edge joins.
+    ends : (2, edges) the two nodes of each edge.
     """
-    total = np.zeros(pairs.shape[1], dtype=np.int64)
-    np.add.at(total, own, capacity)
-    flow, order = flow_by_scipy(pairs, total, at_most), np.argsort(own, kind="stable")
+    order = np.argsort(own, kind="stable")
+    ordered, first = capacity[order], np.flatnonzero(np.diff(own[order], prepend=-1))
+    earlier = np.cumsum(ordered) - ordered
     before = np.empty_like(capacity)  # capacity of the edges of the same pair that come first
-    before[order] = np.cumsum(capacity[order]) - capacity[order] - (np.cumsum(total) - total)[own[order]]
-    taken = np.sign(flow)[own] * np.clip(np.abs(flow)[own] - before, 0, capacity)
-    found: np.ndarray = np.where(ends[0] > ends[1], -taken, taken)
+    before[order] = earlier - earlier[first][own[order]]
+    shared = np.sign(flow)[own] * np.clip(np.abs(flow)[own] - before, 0, capacity)
+    found: np.ndarray = np.where(ends[0] > ends[1], -shared, shared)
     return found

@@ -210,7 +210,7 @@ class Driving:
         either body.
         """
         from scipy.sparse import csr_array
-        from scipy.sparse.csgraph import connected_components, laplacian
+        from scipy.sparse.csgraph import laplacian
 
         from taichi_bearings.numerics.minimum_cut import number_bodies
 
@@ -218,7 +218,7 @@ class Driving:
         node = number_bodies(self.network.body)
         ends, size = node[self.network.contact[:, self.contact]], int(node.max()) + 1
         graph = csr_array((np.ones(2 * ends.shape[1]), np.append(ends, ends[::-1], axis=1)), shape=(size, size))
-        label = connected_components(graph, directed=False)[1]
+        label = pieces(size, *ends)
         inside = np.flatnonzero(np.isin(label, label[[0, -1]])[1:-1]) + 1
         matrix, height = laplacian(graph)[inside], np.zeros(size)
         height[-1] = 1.0

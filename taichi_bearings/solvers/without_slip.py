@@ -3,9 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
+from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.scene import Progress, Scene
 
 
@@ -49,7 +48,5 @@ def _joined_to_top(scene: Scene, contacts: np.ndarray) -> np.ndarray:
     sites = scene.lattice.sites
     sphere = np.arange(sites).reshape(scene.lattice.shape)
     sphere[..., -1] = sites - 1
-    low, high = sphere.ravel()[scene.lattice.ends][:, contacts]
-    graph = sparse.coo_array((np.ones(len(low), dtype=np.int8), (low, high)), shape=(sites, sites))
-    label = connected_components(graph, directed=False)[1]
+    label = pieces(sites, *sphere.ravel()[scene.lattice.ends][:, contacts])
     return np.asarray(label[sphere] == label[sites - 1])
