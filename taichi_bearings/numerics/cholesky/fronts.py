@@ -111,6 +111,11 @@ class Pattern(SparsePattern):
         return np.diff(self.share)
 
     @property
+    def front(self) -> np.ndarray:
+        """(unknowns,) number of the front of each unknown, in the order of elimination."""
+        return np.repeat(np.arange(len(self.own)), self.own)
+
+    @property
     def factor_entries(self) -> int:
         """Number of entries of the factor."""
         return int((self.own * (self.own + self.width)).sum())

@@ -77,57 +77,89 @@ class Layout:
         unit : rows that make a SIMD vector; columns begin at multiples of it.
         apart : True if threads share the work; else fronts are worked on one by one.
         """
+        branches = _branches(pattern) if apart else np.zeros((0, 2), dtype=np.int64)
+        is_called = (branch_of(len(pattern.own), branches) < 0) & apart
         self.own, self.border = pattern.own, pattern.width
         self.height, self.skip = whole(self.own + self.border, unit), self.own // unit * unit
         self.update_height = self.height - self.skip
-        branches = _branches(pattern) if apart else np.zeros((0, 2), dtype=np.int64)
-        is_called = (branch_of(len(self.own), branches) < 0) & apart
         self.own_panel = np.where(is_called, tuning.SHEET_COLUMNS, ENDLESS_PANEL)
-        numbers = size_in_panels(self.own, self.height, self.own_panel)
-        ends, share = np.cumsum(numbers), pattern.share[:-1]
-        self.columns = ends - numbers
+        columns = size_in_panels(self.own, self.height, self.own_panel)
         updates = size_in_panels(self.border, self.update_height, tuning.SHEET_COLUMNS)
         batches = _batches(pattern, updates, tuning.GROVE_NUMBERS if apart else -1, branches)
         places, extents = places_of_updates(pattern.parent, updates, batches, branches)
         # Columns are stored from the start of the memory on, updates from its end backwards. So an update may be where
         # later fronts put their columns: for each batch the columns up to then and the updates in use have to fit.
+        ends = np.cumsum(columns)
         used = np.maximum.accumulate(_largest(ends, batches))
         end = int((used + whole(extents, unit)).max())
-        self.update, self.size = end - places - updates, end + unit  # kernels read up to a vector more
+        self.columns, self.update = ends - columns, end - places - updates
+        self.size = end + unit  # kernels read up to a vector more
         _refuse_uncountable(self.size)
         self.diagonal = self.update + self.own - self.skip
-        # after the unknowns right-hand sides have numbers for the border of each front; with threads, for all its rows
-        kept = self.height if apart else self.border
-        rest = whole(np.array(pattern.size), unit) + np.cumsum(kept) - kept
-        self.vector = int(rest[-1] + kept[-1])
-        front = np.repeat(np.arange(len(self.own)), self.own)  # of each unknown
+        begins = self._place_pivots(pattern, is_called, apart)
+        rest = self._place_right_hand_side(whole(np.array(pattern.size), unit), apart)
+        items, stages, self.batches = np.zeros((0, 3), dtype=np.int64), list[np.ndarray](), list[Batch]()
+        if apart:
+            stages = _stages(pattern, columns)
+            doubles, before = columns + updates, sum(map(len, stages))
+            items, branches, self.batches = self._shared_work(batches, doubles, branches, before)
+        self.stages = list(pairwise(np.cumsum([0, *map(len, stages)]).tolist()))
+        parts = [*self._tables_of_fronts(pattern, begins, rest, apart), items, *stages, branches]
+        begins_at = HEADER + np.cumsum([part.size for part in parts[:6]])
+        header = [len(self.own), *begins_at, tuning.SHEET_COLUMNS, 1]
+        self.tables = np.concatenate([header, *(part.ravel() for part in parts)]).astype(np.int32)
+
+    def _place_pivots(self, pattern: Pattern, is_called: np.ndarray, apart: bool) -> np.ndarray:
+        """Find the diagonal entries of the unknowns, and return where row 0 of each unknown's column begins,
+        (unknowns,), in its front.
+
+        pattern : the fronts, which are sets of unknowns that are eliminated together.
+        is_called : (fronts,) True for fronts that calls of LAPACK eliminate.
+        apart : True if threads share the work.
+        """
+        front = pattern.front
         column = np.arange(pattern.size) - pattern.first[front]
-        begins = self.columns[front] + begin_of_column(column, self.height[front], self.own_panel[front])
-        pivots = begins + column
+        begins: np.ndarray = begin_of_column(column, self.height[front], self.own_panel[front])
+        pivots = self.columns[front] + begins + column
         self.called_pivots, self.last_pivots = pivots[is_called[front]], pivots[pattern.parent[front] < 0]
         self.pivots = pivots[: 0 if apart else None].copy()
+        return begins
+
+    def _place_right_hand_side(self, begin: np.ndarray, apart: bool) -> np.ndarray:
+        """Return where the numbers of each front begin in a right-hand side, (fronts,), and set its length. They come
+        after those of the unknowns: one for each row of the border or, if threads share the work, for all rows.
+
+        begin : where the first of them is, a whole number.
+        apart : True if threads share the work.
+        """
+        kept = self.height if apart else self.border
+        rest = np.asarray(begin + np.cumsum(kept) - kept)
+        self.vector = int(rest[-1] + kept[-1])
+        return rest
+
+    def _tables_of_fronts(
+        self, pattern: Pattern, begins: np.ndarray, rest: np.ndarray, apart: bool
+    ) -> tuple[np.ndarray, ...]:
+        """Return five tables for kernels: 15 integers of each front; where each entry of the matrix goes in its front;
+        which row of the front above each row of a border is; the length of the run of rows that begins there; and where
+        each number of a solution that a border needs is.
+
+        pattern : the fronts, with their borders and the stored entries of the matrix.
+        begins : (unknowns,) where row 0 of each unknown's column begins in its front.
+        rest : (fronts,) where the numbers of each front begin in a right-hand side, after those of the unknowns.
+        apart : True if threads share the work.
+        """
         start = np.searchsorted(pattern.column, np.append(pattern.first, pattern.size))
-        table = np.stack(
-            [
-                *(self.own, self.border, self.columns, self.update, start[:-1], start[1:], *_relatives(pattern.parent)),
-                *(share, pattern.first, self.height, self.update_height, self.skip, rest, self.own_panel),
-            ],
-            axis=1,
+        integers = (
+            *(self.own, self.border, self.columns, self.update, start[:-1], start[1:], *_relatives(pattern.parent)),
+            *(pattern.share[:-1], pattern.first, self.height, self.update_height, self.skip, rest, self.own_panel),
         )
-        place = (begins - self.columns[front])[pattern.column] + pattern.within(front[pattern.column], pattern.row)
+        place = begins[pattern.column] + pattern.within(pattern.front[pattern.column], pattern.row)
         parents = np.repeat(pattern.parent, self.border)
         rows, of_parent = pattern.within(parents, pattern.border), self.own[parents]
         is_own = (rows < of_parent) & (not apart)
         slots = np.where(is_own, pattern.border, rest[parents] + rows - (0 if apart else of_parent))
-        items, stages, self.batches = np.zeros((0, 3), dtype=np.int64), list[np.ndarray](), list[Batch]()
-        if apart:
-            stages, doubles = _stages(pattern, numbers), numbers + updates
-            items, branches, self.batches = self._shared_work(batches, doubles, branches, sum(map(len, stages)))
-        self.stages = list(pairwise(np.cumsum([0, *map(len, stages)]).tolist()))
-        parts = [table, place, rows, _runs(rows, self.border), slots, items, *stages, branches]
-        begins_at = HEADER + np.cumsum([part.size for part in parts[:6]])
-        header = [len(self.own), *begins_at, tuning.SHEET_COLUMNS, 1]
-        self.tables = np.concatenate([header, *(part.ravel() for part in parts)]).astype(np.int32)
+        return np.stack(integers, axis=1), place, rows, _runs(rows, self.border), slots
 
     def _shared_work(
         self, batches: list[np.ndarray], doubles: np.ndarray, branches: np.ndarray, begin_branches: int
