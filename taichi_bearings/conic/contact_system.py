@@ -378,7 +378,7 @@ class ContactSystem:
         unknowns, and the number of the piece of each unknown, (unknowns,). Each slip must be a difference of two
         unknowns (`ends` is not None)."""
         assert self.ends is not None
-        below, above = self.ends[:, :, chosen].reshape(2, -1)
+        below, above = self.ends.compress(chosen, 2).reshape(2, -1)
         both, size = (below >= 0) & (above >= 0), (self.unknowns, self.unknowns)
         graph = sparse.coo_matrix((np.ones(both.sum(), dtype=np.int8), (below[both], above[both])), shape=size)
         count, piece = connected_components(graph, directed=False)

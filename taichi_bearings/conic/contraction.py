@@ -140,7 +140,7 @@ class Contraction:
         samples : number of samples, of equal size.
         """
         assert whole.ends is not None
-        (below, above), offsets = whole.ends[:, :, tied], [part[:, tied] for part in _offset(whole)]
+        (below, above), offsets = whole.ends.compress(tied, 2), [part.compress(tied, 1) for part in _offset(whole)]
         # A tied contact with one imposed end fixes the spin at the other one: slip 0 = above - below + offset gives
         # spin below = offset, or spin above = -offset.
         up, down = (below >= 0) & (above < 0), (above >= 0) & (below < 0)
@@ -169,19 +169,20 @@ class Contraction:
         assert whole.ends is not None
         # The two sets that each contact joins, -1 for an imposed spin. Spins of sets that are tied to a driven plane
         # are imposed now; their difference is added to the offset.
-        ends = whole.ends[:, :, places]
+        ends = whole.ends.take(places, 2)  # unlike an index, keeps the order in memory: numbers of a row side by side
         (below, above), imposed = np.append(self.number, -1)[ends], [np.append(of, 0.0)[ends] for of in self.imposed]
         offset, rest = _offset(whole)
-        offset, rest, same = offset[:, places], rest[:, places], below == above
+        offset, rest, same = offset.take(places, 1), rest.take(places, 1), below == above
         of_driven = np.nonzero((imposed[0] != 0).any(axis=0))
         (low, low_rest), (high, high_rest) = ([of[end][of_driven] for of in imposed] for end in range(2))
         jump = subtract((high, high_rest), (low, low_rest))
         offset[of_driven], rest[of_driven] = add((offset[of_driven], rest[of_driven]), jump)
         left = np.flatnonzero((~same | (offset != 0)).any(axis=0))
-        ends = np.where(same, -1, np.stack([below, above]))[:, :, left]
+        ends = np.where(same, -1, np.stack([below, above])).take(left, 2)
         kept = places[left]
-        offset_rest = None if whole.offset_rest is None else rest[:, left]
-        return kept, ContactSystem(self.unknowns, offset[:, left], whole.felt[:, kept], ends, offset_rest=offset_rest)
+        offset, felt = offset.take(left, 1), whole.felt.take(kept, 1)
+        offset_rest = None if whole.offset_rest is None else rest.take(left, 1)
+        return kept, ContactSystem(self.unknowns, offset, felt, ends, offset_rest=offset_rest)
 
     @property
     def heads(self) -> np.ndarray:
