@@ -52,9 +52,10 @@ def dissected(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, le
     """
     if graph.shape[0] > MOST_KEPT_NODES:
         return _divided(graph, place, leaf, whole)
-    key = blake2b(f"{graph.shape} {place.shape} {place.dtype} {leaf} {whole}".encode())
-    for values in (graph.indptr.astype(np.int64), graph.indices.astype(np.int64), place):
-        key.update(np.ascontiguousarray(values).tobytes())
+    arrays = graph.indptr, graph.indices, place
+    key = blake2b(f"{[(of.shape, of.dtype) for of in arrays]} {leaf} {whole}".encode())
+    for values in arrays:
+        key.update(np.ascontiguousarray(values))
     name = key.digest()
     found = _kept.get(name) or _divided(graph, place, leaf, whole)
     with _keeping:

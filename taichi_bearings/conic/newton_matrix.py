@@ -217,6 +217,11 @@ class NewtonMatrix:
             self._kept[samples] = ContactRows(self._system, solution, place, self._map, self.shared_passes)
         return self._kept[samples]
 
+    def is_ready_for(self, samples: int) -> bool:
+        """Return True if Newton steps of so many samples together (1 or LANES) have been made before, so that their
+        memory is there, and their kernels are loaded."""
+        return samples in self._kept
+
     def factorise_rows(
         self,
         rows: ContactRows,
