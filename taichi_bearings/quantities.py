@@ -414,7 +414,7 @@ STRUCTURE = {
         Quantity("largest_domain", "1", "largest number of free spheres in one rigid domain",
                  lambda s: np.bincount(s.rigid_domains.domain[s.network.free]).max(initial=0)),
         Quantity("largest_spread_in_a_domain", "1/time", "largest difference of a spin from the mean of its rigid"
-                 " domain",
+                 " domain, or from the spin of the top if the domain is locked to it",
                  lambda s: s.rigid_domains.spread),
     ],
     "bottlenecks": [
@@ -448,7 +448,7 @@ STRUCTURE = {
                  " forces are unique",
                  lambda s: s.self_stress),
         Quantity("driving_torque", "force*length", "torque that the top passes to the bottom, for each spin component",
-                 lambda s: s.torque_flow.total.tolist()),
+                 lambda s: None if (total := s.torque_flow.total) is None else total.tolist()),
         Quantity("slipless_share_of_torque", "1",
                  "share of the torque between neighbouring layers that slipless contacts carry",
                  lambda s: s.torque_flow.slipless_share),

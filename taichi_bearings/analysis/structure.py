@@ -37,6 +37,7 @@ from taichi_bearings.stages import stage
 
 OF_THE_RUN = ("power", "lower_bound", "slipping", "slipless", "tied", "undecided", "minimum_is_unique")
 """Results of the run itself, which come before those of the structure in `numbers`."""
+LEFT_OVER = 1e-3  # torques left over on free spheres, together and relative to that on a body, that count as none
 MAY_BE_ABSENT = ("planes_crossed", "winds_x", "winds_y", "spanning_winds_x", "spanning_winds_y", "mean_saturation")
 """Results that are left out of `numbers` where they make no sense."""
 
@@ -47,14 +48,15 @@ class TorqueFlow:
 
     total : (components C,), force * length: torque that drives the top plane, or the second of two bodies, by spin
         component. With fewer or more than two bodies (bodies, C), the torque on each. Torques on neighbouring spheres
-        are added with opposite signs.
+        are added with opposite signs. None if the forces leave torques on free spheres, as those of a dynamics may:
+        then different torques pass through different layers.
     power : (bodies,), power that each body spends, energy/time. For the forces that prove the lower bound of the
         Coulomb law, the sum is a lower bound, too.
     slipless_share : share of the power between two bodies that slipless contacts carry; 0 without power, None where the
-        two bodies are not in bearing states.
+        two bodies are not in bearing states or `total` is None.
     """
 
-    total: np.ndarray
+    total: np.ndarray | None
     power: np.ndarray
     slipless_share: float | None
 
@@ -289,6 +291,9 @@ class Structure:
         total, spent = np.zeros((len(bodies), force.shape[1])), (on_sphere * imposed).sum(axis=1)
         np.add.at(total, body, (sign * whole.radius)[driven, None] * on_sphere[driven])
         power, share = np.bincount(body, spent[driven], len(bodies)), None
+        left_over = (np.abs(on_sphere) * whole.radius[:, None])[whole.free].sum(axis=0).max(initial=0.0)
+        if left_over > LEFT_OVER * np.abs(total).max(initial=0.0):
+            return TorqueFlow(None, power, None)
         if self.states is not None:
             # share of each contact: force, times difference of the heights, times difference of the imposed speeds
             height = self.scene.driving.heights

@@ -73,6 +73,15 @@ def test_a_single_path_carries_all_the_torque_of_every_gap():
     assert flow.slipless_share == pytest.approx(0.5)
 
 
+def test_forces_that_leave_a_torque_on_a_free_sphere_have_no_torque_that_passes_all_layers():
+    lattice = make_scene((2, 3), spin_top=3.0).lattice
+    force, (_, y) = forces(lattice)
+    y[0, 0], y[0, 1, 0] = 5.0, 0.02
+    flow = drawn(make_scene((2, 3), spin_top=3.0), force, states(lattice)[0]).torque_flow
+    assert (flow.total, flow.slipless_share) == (None, None)
+    assert flow.power == pytest.approx([0.0, 7.5])
+
+
 @pytest.mark.parametrize("name", ["planar-cut", "interior-point"])
 def test_equal_columns_slip_in_their_weak_gap_and_carry_its_friction_everywhere(name, needs_f64):
     x, y = np.full((1, 3, 6), 0.5), np.full((1, 4, 5), 0.8)
@@ -142,6 +151,9 @@ def test_what_is_unique_does_not_depend_on_the_method(needs_f64):
         other = answer(scene, name, tolerance)
         others, _, its = analysed(scene, other)
         other_flow = its.torque_flow
+        if name == "rigid-limit":  # spheres still gain speed within the last step
+            assert other_flow.total is None
+            continue
         as_exact = drawn(scene, others, state).torque_flow
         missing = abs(1 - other_flow.power.sum() / exact.power[0])
         uncertain = 3 * np.sqrt(missing + 1e-12)  # friction discs are round: forces may turn like the root of the gap
