@@ -447,41 +447,61 @@ class Centre:
         The factors are products, below 8.34, of three numbers:
         1 / 0.72 : friction resists a change by at least 0.72 of its curvature.
         3 : the curvature at spins of V is at least |B x|^2 / 3. Slips that are a quarter longer there leave 0.8 of it,
-            and other directions take away at most tau |x|^2 / 8 (checked here), that is |B x|^2 / 8, which leaves
+            and other directions take away at most tau |x|^2 / 8 (`_curvature_lost`), that is |B x|^2 / 8, which leaves
             (1 - 8^-1/2)^2: in all 0.334 |B x|^2.
         2 : |B z| and |B x| are taken of B as doubles have it. Its error has a norm d below 0.71 tau^1/2: the proof of
             tau asks for 2 d m < tau, with m^2 >= tau above all eigenvalues, or for a number above 2 d^2 that is below
             tau (`_floor_by_guess`).
 
-        How far a slip y turns. No row of B x exceeds |B x|, so the change of y across itself is at most
-        |B x| / (mu F_n / |y|)^1/2. A change d, |d| <= |y| / 4, with a part d_a across y turns it by an angle with a
-        sine of at most |d_a| / (|y| - |d|). Unit vectors at an angle below asin 1/4 differ by at most 1.01 times its
-        sine: in all by less than 1.4 |d_a| / |y|. They differ by no more than 2 |d| / |y|, too.
+        There is just one minimum. Two would differ by a motion that changes all slips along their directions alone. Its
+        curvature would come from the turning of slips only, so it would be below tau / 8; but it is tau or more.
         """
-        size, strength, sample, to_v = self.size.most, self.strength.least, self._sample, self.distance_to_v
-        can_be_tried = self._samples_where_all(self.size.least[self.with_friction] > 0, sample[self.with_friction])
+        sample, with_friction = self._sample, self.with_friction
+        can_be_tried = self._samples_where_all(self.size.least[with_friction] > 0, sample[with_friction])
         can_be_tried &= self.loose.floor > 0
         coordinates = self.coordinates() if can_be_tried.any() else None
         if coordinates is None:
-            return np.full(len(size), np.inf), np.full(len(size), np.inf), np.zeros_like(can_be_tried)
+            return np.full(len(sample), np.inf), np.full(len(sample), np.inf), np.zeros_like(can_be_tried)
         floor, samples = coordinates.form.floor_in_units(), coordinates.form.elimination.samples
-        tau, scale = floor.tau, coordinates.form.scale * floor.unit
-        radius = self._radius(coordinates, floor)  # rho
         rows = sparse.csr_array(self.rows[self.rows_of(self.slipping)])
-        changes, lengths = coordinates.changes_of_slips(rows, scale)
-        distance = (to_v + 8.4 * lengths * radius[sample] * UP**2 + TINY) * UP
-        root = np.sqrt(tau[sample] * size / np.maximum(strength, TINY))
-        across = np.where(strength > 0, 9 * root * radius[sample], np.inf)
+        changes, lengths = coordinates.changes_of_slips(rows, coordinates.form.scale * floor.unit)
+        radius = self._radius(coordinates, floor)[sample]  # rho
+        distance = (self.distance_to_v + 8.4 * lengths * radius * UP**2 + TINY) * UP
+        turned = self._turned(distance, floor.tau[sample], radius)
+        changes_little = self._samples_where_all(self.relative_to_slip(distance) <= MOST_RELATIVE_CHANGE, sample)
+        one_minimum = self._curvature_lost(turned, changes, samples) * UP < floor.tau / 8
+        return distance, turned, can_be_tried & (floor.tau > 0) & changes_little & one_minimum
+
+    def _turned(self, distance: np.ndarray, tau: np.ndarray, radius: np.ndarray) -> np.ndarray:
+        """Return for each of the S slipping contacts a bound (S,) on the difference between the unit vectors along its
+        slip y at the minimum and at these spins; 0 without friction.
+
+        No row of B x exceeds |B x|, so the change of y across itself is at most |B x| / (mu F_n / |y|)^1/2. A change d,
+        |d| <= |y| / 4, with a part d_a across y turns it by an angle with a sine of at most |d_a| / (|y| - |d|). Unit
+        vectors at an angle below asin 1/4 differ by at most 1.01 times its sine: in all by less than 1.4 |d_a| / |y|.
+        They differ by no more than 2 |d| / |y|, too.
+
+        distance : (S,), bounds on |d|.
+        tau, radius : (S,), tau and rho of the sample of each contact; |B x| <= 9 tau^1/2 rho.
+        """
+        strength, to_v = self.strength.least, self.distance_to_v
+        root = np.sqrt(tau * self.size.most / np.maximum(strength, TINY))
+        across = np.where(strength > 0, 9 * root * radius, np.inf)
         # fmin: the second bound holds alone where the first one is no number, as without any unknown
-        relative_change = self.relative_to_slip(distance)
-        turned = np.fmin(1.4 * self.relative_to_slip(to_v + across), 2 * relative_change) * UP**2
-        # There is just one minimum. Two would differ by a motion that changes all slips along their directions alone.
-        # Its curvature would come from the turning of slips only, turned^2 mu F_n / |y| for each: it would be below
-        # tau / 8. But it is tau or more.
-        lost = np.tile(np.sqrt(turned * self.relative_to_slip(turned * self.strength.most)) * UP, 3)
-        lost = largest_eigenvalue(sparse.csr_array(sparse.diags_array(lost) @ changes), LOST_STEPS, samples)
-        changes_little = self._samples_where_all(relative_change <= MOST_RELATIVE_CHANGE, sample)
-        return distance, turned, can_be_tried & (tau > 0) & changes_little & (lost * UP < tau / 8)
+        found: np.ndarray = np.fmin(1.4 * self.relative_to_slip(to_v + across), 2 * self.relative_to_slip(distance))
+        return found * UP**2
+
+    def _curvature_lost(self, turned: np.ndarray, changes: sparse.csr_array, samples: Samples) -> np.ndarray:
+        """Return for each of R samples a bound (R,), a factor of |x|^2, on the curvature that comes from the turning of
+        slips: turned^2 mu F_n / |y| from each slipping contact.
+
+        turned : (S,), bounds on the differences between unit vectors along slips.
+        changes : (3 S, m), bounds on how the m coordinates x change the slips, components x of all contacts first.
+        samples : the sample of each coordinate.
+        """
+        root = np.sqrt(turned * self.relative_to_slip(turned * self.strength.most)) * UP
+        weighted = sparse.csr_array(sparse.diags_array(np.tile(root, 3)) @ changes)
+        return largest_eigenvalue(weighted, LOST_STEPS, samples)
 
     def _radius(self, coordinates: Coordinates, floor: Floor) -> np.ndarray:
         """Return for each of R samples the number rho (R,) that bounds the distance of the minimum,
