@@ -162,13 +162,13 @@ MATHEMATICS = {  # symbols of the units of histograms
 
 
 @style.in_our_style
-def draw_histogram(histogram: PowerHistogram, page: Page = PAGE, where: Sequence[str] = ()) -> Figure:
+def draw_histogram(histogram: PowerHistogram, page: Page = PAGE, of: Sequence[str] = ()) -> Figure:
     """Draw the number of slipping contacts against their power, both logarithmic, with standard errors. Empty bins are
     left out.
 
     histogram : what is drawn.
     page : size and resolution of the figure.
-    where : conditions by which the samples were chosen, for the title.
+    of : first lines of the title: size and seed of a run, and conditions by which samples were chosen.
     """
     figure = style.plain_figure(page.inches("single"), 2.2, page.dpi)
     axes = figure.add_subplot()
@@ -189,7 +189,7 @@ def draw_histogram(histogram: PowerHistogram, page: Page = PAGE, where: Sequence
     limit = f"\nslipless below a slip of {threshold:.1e} (length / time)" if threshold > 0 else ""
     outside = f"({_unbinned_in_words(histogram)})"
     words = f"{histogram.slipping:,} slipping contacts{whose}{outside}{limit}"
-    style.put_title(figure, "\n".join([*map(as_text, where), words]), page)
+    style.put_title(figure, "\n".join([*of, words]), page)
     return figure
 
 

@@ -283,9 +283,9 @@ def describe(scene: Bearing, sample: int | None = 0) -> str:
         what = "discs" if network.dimension == 2 else "spheres"
         return f"{network.spheres:,} {what}, {str(scene.law).replace('coulomb', 'Coulomb')}"
     scene = of_lattice(scene)
-    shape = r"\times".join(map(str, scene.lattice.shape))
+    shape = "×".join(map(str, scene.lattice.shape))  # as plain text: mathematics would take matplotlib 40 ms more
     source = (scene if sample is None else scene.sample(sample)).source
-    return f"${shape}$ {str(scene.law).replace('coulomb', 'Coulomb')}{scene.periodic_in_words}, {as_text(source)}"
+    return f"{shape} {str(scene.law).replace('coulomb', 'Coulomb')}{scene.periodic_in_words}, {as_text(source)}"
 
 
 def mathematics(value: float, digits: int = 6) -> str:

@@ -120,8 +120,16 @@ class RunKind(ABC):
         most : number of samples that it gets at a time, at most.
         """
 
-    def idle_seed(self, settings: RunSettings) -> list[str]:
-        """Return a list with one sentence if nothing is drawn from the seed of the settings; else, and always for
-        lattices, an empty list.
+    def complete_file(self, settings: RunSettings) -> str | None:
+        """Return the name of the file that has all coefficients of a run with these settings; None if some of them are
+        drawn.
         """
-        return []
+        return settings.coefficients
+
+    def idle_seed(self, settings: RunSettings) -> list[str]:
+        """Return a list with one sentence if nothing is drawn from the seed of the settings, since a file has all
+        coefficients and the initial spins are not random; else an empty list.
+        """
+        file = None if settings.initial == "random" else self.complete_file(settings)
+        told = f"seed is {settings.seed}, but {file} holds all coefficients, so nothing is drawn from it"
+        return [] if file is None else [told]

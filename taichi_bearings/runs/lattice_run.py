@@ -3,9 +3,9 @@
 row : as a name, the class of a method in solvers/table.py. A replica is one sample of several in a scene.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -34,6 +34,7 @@ from taichi_bearings.words import counted
 if TYPE_CHECKING:
     from taichi_bearings.solvers.drive import Checkpoints, Monitor
     from taichi_bearings.solvers.method import Method
+    from taichi_bearings.solvers.stopping import StopRule
 
 # least samples that a worker gets for the interior point, which steps eight at once and replaces those that are done:
 # with more samples, fewer steps are made with less than eight. Small samples together have about so many spheres
@@ -256,33 +257,15 @@ def solve_job(
     from taichi_bearings.solvers.recording import Recording
     from taichi_bearings.solvers.stopping import StopRule
 
-    settings, method, spin = job.settings, job.method, job.spin
+    settings, method = job.settings, job.method
     if method.options.needs_taichi:
         with stage("starting Taichi"):
             runtime.start(settings.arch, settings.precision, settings.threads)
-    stop, recording = StopRule.of(settings), Recording.of(settings)
-    solution = solve(job.scene, method, spin, stop, monitors, settings.slip_threshold, recording, checkpoints)
+    stop, recording, threshold = StopRule.of(settings), Recording.of(settings), settings.slip_threshold
+    solution = solve(job.scene, method, job.spin, stop, monitors, threshold, recording, checkpoints)
     stalled = solution.method == "interior-point" and solution.status is Status.STALLED and not solution.interrupted
     if settings.method == "auto" and stalled and not OperatorSplitting.refusal(job.scene):
-        # one sample after another, so that each has the same bits as alone; `~` also takes a gap that is not-a-number
-        for number in np.flatnonzero(~(solution.gap <= max(settings.tolerance, SPLITTING_HELPS))).tolist():
-            one, seconds = solution.sample(number), max(stop.seconds - solution.seconds, 1e-3)
-            acting = one.scene.coefficient[one.scene.coefficient > 0]
-            wide = bool(acting.max(initial=0.0) > DOUBLE_DECADES * acting.min(initial=np.inf))
-            for most in (FIRST_SPLITTINGS, MOST_SPLITTINGS) if wide else (MOST_SPLITTINGS,):
-                left = StopRule(stop.tolerance, min(stop.iterations, most), seconds)
-                other = solve(one.scene, OperatorSplitting().build(), one.spin, left, monitors, settings.slip_threshold)
-                better = _better_answer(one, other, settings.tolerance)
-                if better.gap.max() <= settings.tolerance or other.interrupted:
-                    break
-                if better.method == one.method and most == FIRST_SPLITTINGS < stop.iterations:
-                    other = replace(other, status=Status.STALLED)
-                    break
-            solution = solution.with_sample(number, better, other)
-            if solution.interrupted:
-                break
-        if (solution.gap <= settings.tolerance).all():
-            solution = replace(solution, status=Status.CERTIFIED)
+        solution = _finished_by_splitting(solution, stop, partial(solve, monitors=monitors, slip_threshold=threshold))
     if settings.torque is None or solution.interrupted:
         return solution
     free = replace(settings, torque=None)
@@ -295,6 +278,46 @@ def solve_job(
         return solve_job(LatticeJob(free, scene, initial_spin(scene, "linear"), method.options.build()))
 
     return under_torque(solution, settings.torque, settings.tolerance, again)
+
+
+def _finished_by_splitting(solution: Solution, stop: "StopRule", solve: Callable[..., Solution]) -> Solution:
+    """Return the answer of an interior point that has stalled, improved by operator splitting from its spins. Samples
+    are improved one after another, so that each has the same bits as alone.
+
+    solution : the answer to all samples.
+    stop : tolerance, and the most iterations and seconds, of the whole run.
+    solve : function that solves a scene by a method from initial spins and ends by a rule, its arguments in this order.
+    """
+    # `~` also takes a gap that is not-a-number
+    for number in np.flatnonzero(~(solution.gap <= max(stop.tolerance, SPLITTING_HELPS))).tolist():
+        one, left = solution.sample(number), max(stop.seconds - solution.seconds, 1e-3)
+        better, other = _split(one, replace(stop, seconds=left), solve)
+        solution = solution.with_sample(number, better, other)
+        if solution.interrupted:
+            break
+    is_reached = (solution.gap <= stop.tolerance).all()
+    return replace(solution, status=Status.CERTIFIED) if is_reached else solution
+
+
+def _split(one: Solution, stop: "StopRule", solve: Callable[..., Solution]) -> tuple[Solution, Solution]:
+    """Return the better of two answers to a sample, and the second of them: a given one, and that of operator splitting
+    from its spins. The second has the status STALLED if splitting was given up early.
+
+    one : the answer to the sample.
+    stop : tolerance, and the most iterations and seconds.
+    solve : function that solves a scene by a method from initial spins and ends by a rule, its arguments in this order.
+    """
+    acting = one.scene.coefficient[one.scene.coefficient > 0]
+    is_wide = bool(acting.max(initial=0.0) > DOUBLE_DECADES * acting.min(initial=np.inf))
+    for most in (FIRST_SPLITTINGS, MOST_SPLITTINGS) if is_wide else (MOST_SPLITTINGS,):
+        left = replace(stop, iterations=min(stop.iterations, most))
+        other = solve(one.scene, OperatorSplitting().build(), one.spin, left)
+        better = _better_answer(one, other, stop.tolerance)
+        if better.gap.max() <= stop.tolerance or other.interrupted:
+            break
+        if better.method == one.method and most == FIRST_SPLITTINGS < stop.iterations:
+            return better, replace(other, status=Status.STALLED)
+    return better, other
 
 
 def _better_answer(first: Solution, second: Solution, tolerance: float) -> Solution:

@@ -108,7 +108,7 @@ class PackingRuns(RunKind):
         packing_of(settings)
         if not has_seeds or settings.packing is None or settings.initial == "random":
             return
-        if set(COEFFICIENTS[: len(settings.drawn)]) <= Packing.read(settings.packing, settings.contacts).keys():
+        if _has_all(settings, Packing.read(settings.packing, settings.contacts)):
             raise InputError(
                 f"seed is scanned, but {settings.packing} holds all coefficients, so nothing is drawn; leave out seed, "
                 "or friction from the file"
@@ -140,17 +140,15 @@ class PackingRuns(RunKind):
         beside = min(self.samples_at_a_time(settings, spheres), MOST_TOGETHER) - 1
         return PROCESS_BYTES + bytes_of_packing(spheres) + BESIDE_BYTES * beside * spheres
 
-    def idle_seed(self, settings: RunSettings) -> list[str]:
-        """Return a list with one sentence if the seed changes nothing, because the file of the packing has all
-        coefficients and the initial spins are not random; else an empty list.
-
-        settings : settings of the run.
+    def complete_file(self, settings: RunSettings) -> str | None:
+        """Return the name of the file that has all coefficients of a run with these settings; None if some of them are
+        drawn. Of a packing whose file is gone this is not known: None.
         """
-        if settings.packing is None or not Path(settings.packing).is_file():
-            return []
-        if not _draws_nothing(settings, Packing.read(settings.packing, settings.contacts)):
-            return []
-        return [f"seed is {settings.seed}, but {settings.packing} holds all coefficients, so nothing is drawn from it"]
+        if settings.packing is None:
+            return settings.coefficients
+        if not Path(settings.packing).is_file():
+            return None
+        return settings.packing if _has_all(settings, Packing.read(settings.packing, settings.contacts)) else None
 
 
 PACKINGS = PackingRuns()
@@ -301,7 +299,8 @@ def packing_of(
             f"replicas is {settings.replicas}, but {settings.packing} holds {held}; leave replicas out or give that "
             "number"
         )
-    if settings.replicas > 1 and 1 not in axes.values() and _draws_nothing(settings, found):
+    draws_nothing = settings.initial != "random" and _has_all(settings, found)
+    if settings.replicas > 1 and 1 not in axes.values() and draws_nothing:
         raise InputError(
             f"replicas is {settings.replicas}, but {settings.packing} holds all coefficients, so nothing is drawn; "
             "leave out replicas, or friction from the file"
@@ -329,14 +328,13 @@ def _refuse_twice(settings: RunSettings, found: Mapping[str, object]) -> None:
             raise InputError(f"{key} is {value}, but {settings.packing} holds {name}; leave one of the two out")
 
 
-def _draws_nothing(settings: RunSettings, found: Mapping[str, object]) -> bool:
-    """Return True if nothing is drawn from the seed: the file has every coefficient, and the initial spins are not
-    random.
+def _has_all(settings: RunSettings, found: Mapping[str, object]) -> bool:
+    """Return True if the file of a packing has every coefficient, so that none is drawn.
 
     settings : settings of the run; their law says which coefficients a contact has.
     found : the arrays of the file by name.
     """
-    return set(COEFFICIENTS[: len(settings.drawn)]) <= found.keys() and settings.initial != "random"
+    return set(COEFFICIENTS[: len(settings.drawn)]) <= found.keys()
 
 
 def _lattice_as_packing(settings: RunSettings) -> Packing:

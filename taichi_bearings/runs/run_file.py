@@ -4,10 +4,11 @@ Letters: R replicas (samples; files have no axis of replicas if there is one), E
 """
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -124,7 +125,7 @@ def _opened(run: str | Path, changed: list[str] | None = None) -> Iterator[tuple
         yield path, file, attributes_of(file)
 
 
-def _run_in(path: Path, file: h5py.File, attributes: Mapping[str, object], needs_method: bool = True) -> Result:
+def _run_in(path: Path, file: h5py.File, attributes: Json, needs_method: bool = True) -> Result:
     """Return the result in an opened run.h5.
 
     path, attributes : path and attributes of the file; the attributes hold settings and numbers.
@@ -181,22 +182,26 @@ def replica_drawn(found: Result, replica: int) -> dict[str, int]:
     return {"replica": replica, "replicas": replicas} if replicas > 1 else {}
 
 
+@dataclass(frozen=True)
 class _Sets:
     """Reader of the data sets of a run file. It checks them, and adds an axis of samples if the file has none.
 
     path : path of the file, for messages.
     file : the opened file.
     head : (R,) for R samples, or () if the arrays of the file have no axis of samples.
+    lattice : the lattice of a run on one, whose contacts have data sets of their own for each axis; None for a packing.
     """
 
-    def __init__(self, path: Path, file: h5py.File, head: tuple[int, ...]) -> None:
-        """Take an opened file.
+    path: Path
+    file: h5py.File
+    head: tuple[int, ...]
+    lattice: Lattice | None = None
 
-        path : its path, for messages.
-        file : the opened file.
-        head : (R,) for R samples, or () if arrays have no axis of samples.
-        """
-        self.path, self.file, self.head = path, file, head
+    @property
+    def are_apart(self) -> bool:
+        """True if samples were solved one by one, as those of packings, so that each has checks and times of its
+        own."""
+        return self.lattice is None and len(self.head) > 0
 
     def get(self, name: str, *expected: int | None) -> np.ndarray:
         """Return a data set with a leading axis of samples.
@@ -215,56 +220,63 @@ class _Sets:
         values = np.asarray(stored[()] if is_whole else stored[()].astype(np.float64))
         return values if self.head else values[None]
 
-    def by_axis(self, name: str, lattice: Lattice, *parts: int) -> tuple[np.ndarray, ...]:
+    def by_axis(self, name: str, *parts: int) -> tuple[np.ndarray, ...]:
         """Return data sets of the contacts of a lattice as a tuple, one array (samples R, *contacts, *parts) for each
         axis.
 
         name : name of the data sets, with {} in place of the axis.
         parts : shape of the value of one contact.
         """
+        lattice = self.lattice
+        assert lattice is not None
         names = [name.format(axis) for axis in AXES[: lattice.dimension]]
         if lacking := [name for name in names if name not in self.file]:
             raise KeyError(f"it lacks {lacking[0]}")
         return tuple(self.get(name, *lattice.contact_shape(axis), *parts) for axis, name in enumerate(names))
 
-    def of_contacts(self, lattice: Lattice, key: str, *parts: int) -> np.ndarray:
-        """Return data sets of the contacts of a lattice as one array, (samples R, contacts E, *parts), axis after axis.
+    def has_proofs(self) -> bool:
+        """Return True if the file says which contact states are proven; early ones do not."""
+        return f"contact{'' if self.lattice is None else '/x'}/proven" in self.file
 
-        key : name below ``contact/<axis>``.
+    def of_contacts(self, name: str, contacts: int, *parts: int) -> np.ndarray:
+        """Return a data set of the contacts, (samples R, contacts E, *parts); on a lattice axis after axis.
+
+        name : its name in the group of the contacts.
+        contacts : number of contacts.
         parts : shape of the value of one contact.
         """
-        found = self.by_axis(f"contact/{{}}/{key}", lattice, *parts)
+        if self.lattice is None:
+            return self.get(f"contact/{name}", contacts, *parts)
+        found = self.by_axis(f"contact/{{}}/{name}", *parts)
         return np.concatenate([values.reshape(len(values), -1, *parts) for values in found], axis=1)
 
-    def history(self, apart: bool, is_needed: bool) -> dict[str, np.ndarray]:
+    def history(self) -> dict[str, np.ndarray]:
         """Return the columns of the history by name: (checks,) for columns of all samples together, else (checks,
-        samples R).
-
-        apart : True if samples were solved one by one, so that all columns are (checks, R).
-        is_needed : True if there must be a history.
+        samples R). The files of lattices must have a history.
 
         Raises FileError for columns that no solve leaves, or where they are needed and missing.
         """
         columns = {key: self.get(f"history/{key}", None) for key in self.file.get("history", ())}
         needed = {"iteration", "power", "lower_bound"} | (ENERGIES if "energy_residual" in columns else set())
-        lengths = {values.shape[1] for values in columns.values()}
+        lengths, is_needed = {values.shape[1] for values in columns.values()}, self.lattice is not None
         if (is_needed or columns) and (needed - columns.keys() or len(lengths) != 1 or 0 in lengths):
             words = f"it must hold columns of one length, {', '.join(needed)}"
             raise FileError(f"history in {self.path} is damaged: {words}")
-        return {key: column[0] if key in OF_ALL and not apart else column.T for key, column in columns.items()}
+        return {key: column[0] if key in OF_ALL and not self.are_apart else column.T for key, column in columns.items()}
 
-    def snapshots(self, apart: bool, *spins: int) -> Snapshots:
-        """Return the snapshots of a dynamics: times and laboratory spins.
+    def snapshots(self, *spins: int) -> Snapshots | None:
+        """Return the snapshots of a dynamics, times and laboratory spins; None if the file has none.
 
-        apart : True if samples were solved one by one, so that each has its own times.
         spins : shape of the spins of one sample.
 
         Raises FileError if times and spins differ in number.
         """
+        if "snapshots" not in self.file:
+            return None
         time, ways = self.get("snapshots/time", None), self.get("snapshots/spin", None, *spins)
         if time.shape[1] != ways.shape[1]:
             raise FileError(f"snapshots in {self.path} are damaged: times and spins differ in number")
-        return Snapshots(time.T if apart else time[0], np.moveaxis(ways, 0, 1))
+        return Snapshots(time.T if self.are_apart else time[0], np.moveaxis(ways, 0, 1))
 
     def check(self, name: str, values: np.ndarray, is_fine: Callable[[np.ndarray], Any] = np.isfinite) -> None:
         """Raise FileError if a data set has values that no solve writes, such as infinite ones.
@@ -284,65 +296,82 @@ class _Sets:
             raise FileError(f"{name} in {self.path} is damaged: it must hold {words}")
 
 
-def _read(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: RunSettings) -> Solution:
+def _read(path: Path, file: h5py.File, attributes: Json, settings: RunSettings) -> Solution:
     """Return the solution in an opened run.h5, with an axis of samples; its status is that of the first sample that is
     not certified, if there is one.
 
     path, attributes : path and attributes of the file `file`.
     settings : settings of the run.
     """
-    is_lattice = "packing" not in file
-    scene, arrays, of_contacts, sites, vector = (_lattice_in if is_lattice else _packings_in)(
-        path, file, attributes, settings
-    )
-    replicas, apart = scene.replicas, not is_lattice and scene.replicas > 1
-
-    def number(name: str) -> np.ndarray:
-        """Return the attribute `name` with a value for each sample, (samples R,); not-a-number where it is missing."""
-        value = attributes.get(name, "")
-        values = np.atleast_1d(np.nan if isinstance(value, str) and not value else value)
-        kinds = "UO" if name == "proof" else "biuf"
-        if values.dtype.kind not in kinds or values.shape not in ((1,), (replicas,)):
-            raise ValueError(f"{name} is {value!r}; it must be one number, or one for each of the {replicas} samples")
-        return np.array(np.broadcast_to(values, replicas))
-
+    scene, sets = (_packings_in if "packing" in file else _lattice_in)(path, file, attributes, settings)
+    number = partial(_number, attributes, scene.replicas)
     ended = [Status(name) for name in np.atleast_1d(attributes["status"]).tolist()]
     status = next((one for one in ended if one is not Status.CERTIFIED), Status.CERTIFIED)
-    first = "contact/x" if is_lattice else "contact"
-    there = [name for name in CONTACTS if name != "proven" or f"{first}/{name}" in file]  # early files lack it
-    sets: dict[str, Any] = {name: of_contacts(name) for name in there}
-    sets |= {"friction": of_contacts("friction", *vector), "spin": arrays.get("spin", *sites, *vector)}
-    is_stored = "spin_rounding" in file
-    sets["spin_rounding"] = arrays.get("spin_rounding", *sites, *vector) if is_stored else np.zeros_like(sets["spin"])
-    for name, values in sets.items():
-        arrays.check(name, values, np.isfinite if status is not Status.NOT_FINITE else np.isreal)
-    own: dict[str, np.ndarray] = {"status": np.broadcast_to(np.array(ended, dtype=object), replicas)}
-    if apart:
+    arrays = _arrays_in(sets, scene, np.isreal if status is Status.NOT_FINITE else np.isfinite)
+    history = sets.history()
+    if attributes["schema_version"] == 1:
+        state, proven, all_proven = arrays["state"], arrays.get("proven"), number("states_proven") == 1
+        arrays["state"], arrays["proven"] = _of_layout_1(state, proven, all_proven, is_dynamics="time" in history)
+    own: dict[str, np.ndarray] = {"status": np.broadcast_to(np.array(ended, dtype=object), scene.replicas)}
+    if sets.are_apart:
         own["iterations"] = number("iterations").astype(np.int64)
+    said = attributes.get("findings", FINDINGS), SAID_OF_PACKINGS if sets.lattice is None else ()
+    findings = {name: number(name) for name in dict.fromkeys(chain(*said)) if name in attributes}
+    findings.pop("tied_contacts", None)  # of layout 1
     numbers: dict[str, Any] = {key: number(key) for key in ("power", "lower_bound", "gap", "largest_balance_residual")}
     numbers |= {key: float(attributes[key]) for key in ("slip_threshold", "seconds", "seconds_compile")}
-    history = arrays.history(apart, is_needed=is_lattice)
-    if attributes["schema_version"] == 1:
-        all_proven = number("states_proven") == 1
-        sets["state"], sets["proven"] = _of_layout_1(sets["state"], sets.get("proven"), all_proven, "time" in history)
-    sets["proven"] = sets["proven"] == 1
-    known = dict.fromkeys([*attributes.get("findings", FINDINGS), *(() if is_lattice else SAID_OF_PACKINGS)])
-    known.pop("tied_contacts", None)  # of layout 1
     return Solution(
         scene=scene,
         method=str(attributes["method"]),
         status=status,
         iterations=int(np.max(attributes["iterations"])),
-        power_per_contact=sets.pop("power"),
+        power_per_contact=arrays.pop("power"),
         objective=number("potential" if scene.law.minimises == "potential" else "power"),
         history=history,
-        findings={name: number(name) for name in known if name in attributes},
+        findings=findings,
         own=own,
         running=Runtime(**{key: attributes.get(key, value) for key, value in vars(HOST).items()}),
-        snapshots=arrays.snapshots(apart, *sites, *vector) if "snapshots" in file else None,
+        snapshots=sets.snapshots(*arrays["spin"].shape[1:]),
+        proven=arrays.pop("proven") == 1,
         **numbers,
-        **sets,
+        **arrays,
     )
+
+
+def _number(attributes: Json, replicas: int, name: str) -> np.ndarray:
+    """Return an attribute of a run file with a value for each sample, (samples R,); not-a-number where it is missing.
+    Raise ValueError if it is something else.
+
+    attributes : attributes of the file.
+    replicas : number of samples.
+    name : name of the attribute.
+    """
+    value = attributes.get(name, "")
+    values = np.atleast_1d(np.nan if isinstance(value, str) and not value else value)
+    kinds = "UO" if name == "proof" else "biuf"
+    if values.dtype.kind not in kinds or values.shape not in ((1,), (replicas,)):
+        raise ValueError(f"{name} is {value!r}; it must be one number, or one for each of the {replicas} samples")
+    return np.array(np.broadcast_to(values, replicas))
+
+
+def _arrays_in(sets: _Sets, scene: Bearing, is_fine: Callable[[np.ndarray], Any]) -> dict[str, Any]:
+    """Return the arrays of a solution by name, each with a leading axis of samples: those of the contacts, the spins,
+    and what their rounding lost. Raise FileError for values that no solve writes.
+
+    sets : reader of the data sets.
+    scene : what was solved.
+    is_fine : function that returns a mask of the values that are allowed.
+    """
+    contacts, vector = scene.network.contacts, () if scene.network.dimension == 2 else (3,)
+    spins = (*scene.network.shape, *vector)
+    there = [name for name in CONTACTS if name != "proven" or sets.has_proofs()]
+    arrays = {name: sets.of_contacts(name, contacts) for name in there}
+    arrays |= {"friction": sets.of_contacts("friction", contacts, *vector), "spin": sets.get("spin", *spins)}
+    is_stored = "spin_rounding" in sets.file
+    arrays["spin_rounding"] = sets.get("spin_rounding", *spins) if is_stored else np.zeros_like(arrays["spin"])
+    for name, values in arrays.items():
+        sets.check(name, values, is_fine)
+    return arrays
 
 
 def _of_layout_1(
@@ -368,46 +397,31 @@ def _of_layout_1(
 
 # columns of the history that a dynamics with an energy balance has
 ENERGIES = {"time", "kinetic_energy", "spring_energy", "injected_energy", "dissipated_energy"}
-_Contents = tuple[Bearing, _Sets, Callable[..., np.ndarray], tuple[int, ...], tuple[int, ...]]
-"""What a file holds: the scene or packing; the data sets; a function that returns a data set of the contacts by name,
-(R, E, *parts); the shape of arrays over the spheres; and that of a vector, (3,) or () in 2D."""
-
-
 OWN_COEFFICIENTS = ("run.h5", "coefficients.npz")  # files that runs write: no names of where coefficients come from
 
 
-def _lattice_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: RunSettings) -> _Contents:
-    """Return the scene on a lattice that a file holds, and four things with which its data sets are read:
-
-    * the reader of data sets;
-    * a function that returns a data set of the contacts by name, (samples R, contacts E, *parts);
-    * the shape of arrays over the spheres;
-    * the shape of a vector, (3,), or () in 2D.
+def _lattice_in(path: Path, file: h5py.File, attributes: Json, settings: RunSettings) -> tuple[Bearing, _Sets]:
+    """Return the scene on a lattice that a file holds, and the reader of its data sets.
 
     path, file, attributes : the file, opened, and its attributes.
     settings : settings of the run.
     """
     shape = tuple(int(side) for side in attributes["shape"])
     lattice, first = Lattice(shape, periodic=axis_numbers(settings.periodic)), file["coefficient/x"]
-    arrays = _Sets(path, file, first.shape[: first.ndim - len(shape)])
-    viscosity = arrays.by_axis("viscosity/{}", lattice) if "viscosity" in file else ()
+    sets = _Sets(path, file, first.shape[: first.ndim - len(shape)], lattice)
+    viscosity = sets.by_axis("viscosity/{}") if "viscosity" in file else ()
     seeds = tuple(int(seed) for seed in np.atleast_1d(attributes["seed"]))
     given = {key: getattr(settings, key) for key in ("law", *Scene.PARAMETERS)}
-    scene = Scene(arrays.by_axis("coefficient/{}", lattice), viscosity=viscosity, seeds=seeds, **given)
+    scene = Scene(sets.by_axis("coefficient/{}"), viscosity=viscosity, seeds=seeds, **given)
     drawn = {key: getattr(settings, key) for key in scene.DRAWN} if settings.coefficients is None else {}
     name = Path(str(attributes.get("coefficients", ""))).name
     if settings.coefficients is not None and name not in OWN_COEFFICIENTS:
         scene.read_from(name)
-    return scene.drawn_from(drawn), arrays, partial(arrays.of_contacts, lattice), shape, () if len(shape) == 2 else (3,)
+    return scene.drawn_from(drawn), sets
 
 
-def _packings_in(path: Path, file: h5py.File, attributes: Mapping[str, object], settings: RunSettings) -> _Contents:
-    """Return the packing that a file holds, and four things with which its data sets are read:
-
-    * the reader of data sets;
-    * a function that returns a data set of the contacts by name, (samples R, contacts E, *parts);
-    * the shape of arrays over the spheres;
-    * the shape of a vector, (3,), or () in 2D.
+def _packings_in(path: Path, file: h5py.File, attributes: Json, settings: RunSettings) -> tuple[Bearing, _Sets]:
+    """Return the packing that a file holds, and the reader of its data sets.
 
     path, file, attributes : the file, opened, and its attributes.
     settings : settings of the run.
@@ -424,14 +438,4 @@ def _packings_in(path: Path, file: h5py.File, attributes: Mapping[str, object], 
         raise KeyError(f"it lacks packing/{lacking[0]}")
     found = {name: np.asarray(stored[name][()]) for name in PACKING_ARRAYS if name in stored}
     scene = packing_of(replace(settings, packing=str(path), **usual), found)
-    arrays = _Sets(path, file, (scene.replicas,) * (scene.replicas > 1))
-
-    def of_contacts(name: str, *parts: int) -> np.ndarray:
-        """Return a data set of the contacts, (samples R, contacts E, *parts).
-
-        name : name of the data set in the group of the contacts.
-        parts : shape of the value of one contact.
-        """
-        return arrays.get(f"contact/{name}", scene.contacts, *parts)
-
-    return scene, arrays, of_contacts, (scene.spheres,), () if scene.dimension == 2 else (3,)
+    return scene, _Sets(path, file, (scene.replicas,) * (scene.replicas > 1))

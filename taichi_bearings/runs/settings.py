@@ -356,10 +356,7 @@ class RunSettings:
         and the periodic sides unless some are given.
         """
         for key in values:
-            if key not in cls.keys():
-                likely = ALSO_CALLED.get(key.replace("-", "_"), key)
-                hint = meant(likely, cls.keys()) or f"; known keys are {', '.join(cls.keys())}"
-                raise InputError(f"unknown key {key!r} in {source}{hint}")
+            refuse_unknown(key, source)
         settings = cls(**values)
         if settings.packing is not None:
             from taichi_bearings.scene.packing import Packing  # and with it much of SciPy
@@ -595,6 +592,19 @@ def read_toml(path: Path) -> Json:
     except UnicodeDecodeError:
         hint = "; --coefficients or --packing reads arrays" if path.suffix == ".npz" else ""
         raise FileError(f"scene file {path} is not a text in UTF-8{hint}") from None
+
+
+def refuse_unknown(key: str, source: str, others: Collection[str] = ()) -> None:
+    """Raise InputError, with the nearest known key, for a key that is no setting of a run.
+
+    key : the key.
+    source : where it comes from, for the message.
+    others : keys that are known there, too.
+    """
+    if key not in RunSettings.keys() and key not in others:
+        likely = ALSO_CALLED.get(key.replace("-", "_"), key)
+        hint = meant(likely, RunSettings.keys()) or f"; known keys are {', '.join(RunSettings.keys())}"
+        raise InputError(f"unknown key {key!r} in {source}{hint}")
 
 
 def parse_assignment(text: str, option: str, allowed: str) -> tuple[str, Any]:

@@ -151,10 +151,10 @@ def draw_figures(found: "Result", title: bool = True) -> None:
     with _unless_full(), _unless_undrawable(), stage("drawing"):
         from taichi_bearings.plots.curves import courses_of, draw_histogram, draw_history
         from taichi_bearings.plots.page import Page
-        from taichi_bearings.plots.style import save
+        from taichi_bearings.plots.style import describe, save
 
         assert found.path is not None
         page = Page(title=title)
-        save(draw_histogram(found.histogram, page), found.path / "power_histogram.png")
+        save(draw_histogram(found.histogram, page, [describe(found.scene, None)]), found.path / "power_histogram.png")
         if courses_of(found.solution):
             save(draw_history(found.solution, page), found.path / "history.png")

@@ -37,6 +37,7 @@ from taichi_bearings.runs.run_file import file_of, read_run
 from taichi_bearings.runs.settings import RunSettings, parse_toml
 from taichi_bearings.scans.conditions import meeting
 from taichi_bearings.scans.stored_scans import disorder_of, is_scan, numbered, open_scan
+from taichi_bearings.scene import Bearing
 from taichi_bearings.stages import each, stage
 from taichi_bearings.words import meant
 
@@ -59,7 +60,7 @@ class Source:
     disorder : function that returns a name for each sample, (S,); the names of two samples are equal if their lattice
         and its coefficients are.
     scanned : names of the settings that the scan varies; a run varies none.
-    is_scan : True for a scan, which stores powers by bins alone.
+    scene : what a run has solved; None for a scan, which stores powers by bins alone.
     """
 
     path: Path
@@ -68,8 +69,8 @@ class Source:
     contacts: np.ndarray
     counts: Callable[[int, np.ndarray], SampleCounts]
     disorder: Callable[[], list[Any]]
-    is_scan: bool
     scanned: tuple[str, ...] = ()
+    scene: Bearing | None = None
 
     @property
     def samples(self) -> np.ndarray:
@@ -131,7 +132,7 @@ def _source_of_scan(scan: StoredScan) -> Source:
     fine = scan.histograms.of(solved)
     contacts = fine.contacts.sum(axis=1)
     counts = partial(rebinned, fine)
-    return Source(scan.path, scan.reasons, column, contacts, counts, disorder, is_scan=True, scanned=scan.scanned)
+    return Source(scan.path, scan.reasons, column, contacts, counts, disorder, scan.scanned)
 
 
 def _source_of_run(run: Result) -> Source:
@@ -175,7 +176,7 @@ def _source_of_run(run: Result) -> Source:
 
     contacts = (state != ContactState.DRIVEN).sum(axis=1)
     counts = partial(count_powers, power, state)
-    return Source(path, np.full(replicas, "", dtype=object), column, contacts, counts, disorder, is_scan=False)
+    return Source(path, np.full(replicas, "", dtype=object), column, contacts, counts, disorder, scene=run.scene)
 
 
 def pooled(
@@ -196,7 +197,7 @@ def pooled(
     by : name of the column whose values tell the histograms apart, or None.
     where : conditions KEY=VALUE on columns; only samples that meet all of them are pooled.
     """
-    if any(source.is_scan for source in sources) and BINS_PER_DECADE % bins_per_decade:
+    if any(source.scene is None for source in sources) and BINS_PER_DECADE % bins_per_decade:
         raise InputError(f"bins_per_decade is {bins_per_decade}; for a scan it must be 1, 2, 4, 5, 10 or 20")
     reasons = np.concatenate([source.reasons for source in sources])
     chosen = np.flatnonzero(_meeting(sources, where))
@@ -255,7 +256,10 @@ def histogram(
     force: bool = False,
     page: Page = PAGE,
     ending: str = "png",
-    **pooling: Any,
+    bins_per_decade: int = 5,
+    normalise: str = "none",
+    by: str | None = None,
+    where: Sequence[str] = (),
 ) -> Json:
     """Pool the histograms of runs and scans, and write power_histogram.csv, .h5 and a figure. Return the report that
     `--json` prints.
@@ -265,11 +269,10 @@ def histogram(
     force : True to replace files that stand there.
     page : how the figure is printed.
     ending : "png", "pdf" or "svg".
-    pooling : arguments of :func:`pooled` by name: `bins_per_decade`, `normalise`, `by` and `where`.
+    bins_per_decade, normalise, by, where : what is pooled in which bins, as :func:`pooled` explains it.
 
     Raises InputError or FileError before anything is written.
     """
-    by, where = pooling.get("by"), tuple(pooling.get("where", ()))
     sources = [read_source(path) for path in each(paths, "reading")]
     if len({source.path.resolve() for source in sources}) < len(sources):
         raise InputError(f"the same run is named twice among {', '.join(map(str, paths))}")
@@ -277,13 +280,15 @@ def histogram(
     table, arrays, figure = (folder / f"power_histogram.{kind}" for kind in ("csv", "h5", ending))
     refuse_standing((table, arrays, figure), force)
     with stage("counting"):
-        found = pooled(sources, **pooling)
+        found = pooled(sources, bins_per_decade, normalise, by, where)
     with writable_folder(folder):
         with stage("drawing"):
             from taichi_bearings.plots.curves import draw_histogram, draw_overlay  # loads matplotlib
-            from taichi_bearings.plots.style import save
+            from taichi_bearings.plots.style import as_text, describe, save
 
-            drawn = draw_overlay(found, by, page, where) if by else draw_histogram(found[None], page, where)
+            runs = [describe(source.scene, None) for source in sources if source.scene is not None]
+            of = [*(runs if len(sources) == 1 else []), *map(as_text, where)]
+            drawn = draw_overlay(found, by, page, where) if by else draw_histogram(found[None], page, of)
         with stage("writing"), awaited():  # all three or none
             write_table(table, found, by, where)
             write_arrays(arrays, found, by, where)

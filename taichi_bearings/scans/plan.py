@@ -25,6 +25,7 @@ from taichi_bearings.runs.settings import (
     parse_assignment,
     placed,
     read_toml,
+    refuse_unknown,
     settings_table,
     toml_text,
     toml_value,
@@ -181,6 +182,7 @@ def _read(path: Path, overrides: Sequence[str] = ()) -> tuple[Json, list[Axis]]:
     for text in overrides:
         key, value = parse_assignment(text, "--set", "key=value or scan.key=list or range")
         name = key.removeprefix("scan.")
+        refuse_unknown(name, f"--set {text!r}", SCAN_OPTIONS)
         for table in (document, single, *zipped):
             table.pop(name, None)
         (single if key.startswith("scan.") else document)[name] = value

@@ -16,6 +16,7 @@ from taichi_bearings.analysis.histogram import count_powers, pool
 from taichi_bearings.analysis.slipless_network import SliplessNetwork
 from taichi_bearings.analysis.structure import Structure
 from taichi_bearings.lattice import Lattice
+from taichi_bearings.plots import style
 from taichi_bearings.plots.bearing import SPIN_COLOURS, Sheet
 from taichi_bearings.plots.curves import draw_histogram
 from taichi_bearings.plots.page import VIEW
@@ -24,6 +25,7 @@ from taichi_bearings.plots.style import GREY, describe
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.run import run
 from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.scans.histogram import histogram
 from taichi_bearings.scene.network import Network
 from taichi_bearings.scene.packing import Packing
 from tests.scenes import make_scene
@@ -213,6 +215,16 @@ def test_titles_say_where_the_coefficients_come_from(tmp_path):
     for scene in (found.solution.scene, tb.load(tmp_path / "run").scene):
         assert describe(scene).endswith(r"coefficients of my\$x.npz")
         assert "seed" not in describe(scene)
+
+
+def test_the_histogram_of_a_run_says_what_was_solved(tmp_path, monkeypatch):
+    titles = {}
+    monkeypatch.setattr(style, "save", lambda figure, path: titles.update({path.stem: figure.get_suptitle()}))
+    run(RunSettings(shape=(4, 5), seed=3, threads=1), tmp_path / "run")
+    assert titles["power_histogram"].startswith("4×5 Coulomb, seed 3\n")
+    titles.clear()
+    histogram([tmp_path / "run"], tmp_path / "h")
+    assert titles["power_histogram"].startswith("4×5 Coulomb, seed 3\n")
 
 
 def test_figures_without_lines_or_bins_say_nothing_of_tied_contacts():

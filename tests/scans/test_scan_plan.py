@@ -105,6 +105,14 @@ def test_files_count_by_their_content_and_lie_beside_the_scan(plan_of, tmp_path)
         plan_of('shape = [4, 4]\n[scan]\ncoefficients = ["a.npz", "b.npz"]\n')
 
 
+def test_an_unknown_key_of_an_override_is_named_with_it(plan_of):
+    for override in ("sed=1", "scan.sed=[1, 2]"):
+        with pytest.raises(InputError, match="did you mean 'seed'") as caught:
+            plan_of("shape = [3, 3]\n", override)
+        assert f"unknown key 'sed' in --set {override!r}" in str(caught.value)
+        assert "scan.toml" not in str(caught.value)
+
+
 BAD = {
     "unknown key": ("[scan]\nsed = [1]\n", "did you mean 'seed'"),
     "unknown fixed key": ("shpe = [3, 3]\n[scan]\nseed = [1]\n", "did you mean 'shape'"),
