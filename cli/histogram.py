@@ -66,8 +66,10 @@ def command(runs: tuple[Path, ...], normalise: str, by: str | None, as_json: boo
     from taichi_bearings.scans.histogram import histogram
     from taichi_bearings.words import counted, other_contacts
 
-    width, dpi, title = (asked.pop(name) for name in ("width", "dpi", "title"))
-    page = Page(None if width is None else read_width(width), dpi, title=title)
+    width = asked.pop("width")
+    page = Page(
+        None if width is None else read_width(width), **{name: asked.pop(name) for name in ("dpi", "title", "ending")}
+    )
     with Display():
         report = histogram(runs, normalise=normalise, by=by, page=page, **asked)
     lines = []

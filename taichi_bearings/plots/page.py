@@ -66,6 +66,7 @@ class Page:
     planes : (axis, index) of the cuts through a cubic lattice; empty for those that suit the figure.
     view : from where it is seen; None for what suits the figure.
     title : whether the figure has a title.
+    ending : format of the file where none is named: "png", "pdf" or "svg".
     """
 
     width: float | None = None
@@ -73,6 +74,7 @@ class Page:
     planes: Planes = ()
     view: View | None = None
     title: bool = True
+    ending: str = "png"
 
     def inches(self, column: str) -> float:
         """Return the width of the figure in inches: that of a column of a journal, unless another width was chosen.

@@ -255,7 +255,6 @@ def histogram(
     out: Path | None = None,
     force: bool = False,
     page: Page = PAGE,
-    ending: str = "png",
     bins_per_decade: int = 5,
     normalise: str = "none",
     by: str | None = None,
@@ -268,7 +267,6 @@ def histogram(
     out : folder; None for a new one.
     force : True to replace files that stand there.
     page : how the figure is printed.
-    ending : "png", "pdf" or "svg".
     bins_per_decade, normalise, by, where : what is pooled in which bins, as :func:`pooled` explains it.
 
     Raises InputError or FileError before anything is written.
@@ -277,7 +275,7 @@ def histogram(
     if len({source.path.resolve() for source in sources}) < len(sources):
         raise InputError(f"the same run is named twice among {', '.join(map(str, paths))}")
     folder = out or default_run_path("histogram")
-    table, arrays, figure = (folder / f"power_histogram.{kind}" for kind in ("csv", "h5", ending))
+    table, arrays, figure = (folder / f"power_histogram.{kind}" for kind in ("csv", "h5", page.ending))
     refuse_standing((table, arrays, figure), force)
     with stage("counting"):
         found = pooled(sources, bins_per_decade, normalise, by, where)
