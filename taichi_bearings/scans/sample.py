@@ -25,6 +25,7 @@ from taichi_bearings.scans.plan import Sample, files_of, groups_of, sample_key, 
 from taichi_bearings.scene import Bearing
 
 STATES = "states"  # folder of the full states
+LISTS = ("planes_crossed", "driving_torque")  # lists where they are known, which a table cannot hold
 
 
 class Interrupted(SystemExit):
@@ -127,7 +128,7 @@ def _record(key: str, run: Result, analyse: bool) -> Json:
         scalars |= structure_of(answer).numbers
     counts = count_powers(answer.power_per_contact, answer.state, BINS_PER_DECADE)
     bins = {str(number): many for number, many in enumerate(counts.count[0].tolist(), start=counts.first) if many}
-    record = {name: plain(value) for name, value in scalars.items()}
+    record = {name: plain(value) for name, value in scalars.items() if name not in LISTS}
     # an empty list, for packings without shape and runs without warnings, is left out below, like all lists
     record["shape"] = "x".join(map(str, record["shape"] or ())) or []
     record["warnings"] = "; ".join(record["warnings"]) or []

@@ -303,6 +303,14 @@ def test_a_scan_runs_in_a_thread_too(plan_of, tmp_path):
     assert reports[0]["reached"] == 1
 
 
+def test_numbers_that_are_lists_where_they_are_known_are_no_columns(plan_of):
+    samples = plan_of('shape = [3, 3, 4]\n[scan]\ndistribution = ["uniform:0.1,1.0", "lognormal:1,6"]\n').samples
+    records = [record["scalars"] for sample in samples for record in solve_samples([sample], analyse=True)]
+    assert {record["spans"] for record in records} == {True, False}
+    assert all("shortest_path" in record for record in records)
+    assert not any({"planes_crossed", "driving_torque"} & set(record) for record in records)
+
+
 def test_kept_states_of_lattices_need_no_file_of_the_scan(plan_of, tmp_path):
     rng = np.random.default_rng(0)
     given, spin = {"x": rng.uniform(0.1, 1, (3, 5)), "y": rng.uniform(0.1, 1, (4, 4))}, rng.uniform(-1, 1, (4, 5))
