@@ -21,7 +21,6 @@ import numpy as np
 from taichi_bearings.plain_files import Json
 from taichi_bearings.proof.contact_state import ContactState, Separation
 from taichi_bearings.scene import Solution, Status
-from taichi_bearings.version import VERSION
 
 
 class Asked(Protocol):
@@ -50,6 +49,10 @@ class Answer(Protocol):
     @property
     def ended(self) -> list[Status]:
         """How each of the R samples ended, such as certified or interrupted."""
+
+    @property
+    def version(self) -> str:
+        """The version of the program that solved the samples."""
 
     @property
     def separation(self) -> Separation:
@@ -297,7 +300,7 @@ SAMPLES = _named(
         Quantity("normal_force", "force", "normal force at every contact",
                  _fact("normal_force"), "F_n"),
         Quantity("radius", "length", "radius of the spheres", _fact("radius"), "R"),
-        Quantity("version", "1", "version of the program that solved the sample", lambda a: VERSION),
+        Quantity("version", "1", "version of the program that solved the sample", lambda a: a.version),
         Quantity("power_normalised", "1", "power / (normal_force * radius * |spin_top|)",
                  _normalised, r"P\,/\,(F_n R\,\omega_T)"),
         Quantity("minimum_is_unique", "1",

@@ -25,6 +25,7 @@ from taichi_bearings.runs.writing import draw_figures, publish
 from taichi_bearings.scene import Bearing, Snapshots, Solution, Status
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
 from taichi_bearings.solvers.stopping import reported_status
+from taichi_bearings.version import VERSION
 from taichi_bearings.words import counted, html_table, listed
 
 if TYPE_CHECKING:
@@ -96,6 +97,11 @@ class Result:
     def scene(self) -> Bearing:
         """The :class:`Scene` or :class:`Packing` that was solved, with all samples."""
         return self.solution.scene
+
+    @property
+    def version(self) -> str:
+        """The version of the program that solved it: for a run that was read, the one that its file names."""
+        return str(self.attributes.get("version", VERSION))
 
     @property
     def packing(self) -> Bearing | None:

@@ -1,5 +1,6 @@
 """The analysis of stored runs: against plain graph algorithms on run.h5, and where the answer is known by hand."""
 
+import shutil
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -85,6 +86,16 @@ def test_driven_about_x_the_planes_part_but_contacts_along_x_join_them(solved):
     assert report["spans"]
     assert report["domains"] == 2
     assert report["planes_crossed"][0] > 1
+
+
+def test_the_version_is_the_one_that_solved_the_run(solved, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(solved(shape=(6, 7), seed=0), folder)
+    with h5py.File(folder / "run.h5", "a") as file:
+        del file.attrs["sha256"]
+        file.attrs["version"] = "0.0.7"
+    found = read_run(folder)
+    assert (found.version, found.summary["version"], analysed(folder)["version"]) == ("0.0.7",) * 3
 
 
 def test_without_frustration_nothing_slips(solved):
