@@ -73,7 +73,7 @@ def describe(report: dict[str, Any], times: str) -> str:
     if open_ends := [status for status in ended if status != "certified"]:
         statuses = ", ".join(sorted(set(open_ends)))
         lines.append(
-            f"not certified (least power not proven within the tolerance): {len(open_ends)} of "
+            f"not certified (least power or potential not proven within the tolerance): {len(open_ends)} of "
             f"{counted(len(ended), 'sample')} ({statuses})"
         )
     if len(seeds) > 1:

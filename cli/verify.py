@@ -70,7 +70,7 @@ def describe(report: dict[str, Any], times: str = "") -> str:
         if states["unproven"]:
             proven.append(f"{states['unproven']:,} without a proof" + (f" ({reason})" if reason else ""))
         elif unique:
-            proven.append("no other slips have the least power")
+            proven.append(f"no other slips have the least {law.minimises}")
         lines.append(f"    contacts: {'; '.join(proven)}")
     if len(rows) > 10:
         lines.append(f"  ... and {len(rows) - 10} more samples")

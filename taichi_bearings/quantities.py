@@ -265,9 +265,11 @@ SAMPLES = _named(
         Quantity("contacts", "1", "number of contacts, without absent ones and those between driven spheres: the sum of"
                  " slipping, slipless, tied and undecided",
                  lambda a: _contacts(a.solution), r"N_\mathrm{contacts}"),
-        Quantity("slipping", "1", "number of slipping contacts; proven ones slip in every state of least power",
+        Quantity("slipping", "1", "number of slipping contacts; proven ones slip in every state of least power (or"
+                 " potential)",
                  lambda a: a.solution.counts[:, ContactState.SLIPPING], r"N_\mathrm{slipping}"),
-        Quantity("slipless", "1", "number of contacts that do not slip; proven ones slip in no state of least power",
+        Quantity("slipless", "1", "number of contacts that do not slip; proven ones slip in no state of least power"
+                 " (or potential)",
                  lambda a: a.solution.counts[:, ContactState.SLIPLESS], r"N_\mathrm{slipless}"),
         Quantity("tied", "1", "number of contacts that are proven to slip in some states of least power and not in"
                  " others",
@@ -304,7 +306,8 @@ SAMPLES = _named(
         Quantity("power_normalised", "1", "power / (normal_force * radius * |spin_top|)",
                  _normalised, r"P\,/\,(F_n R\,\omega_T)"),
         Quantity("minimum_is_unique", "1",
-                 "whether all states of least power have the same slips; true or false only if that is proven",
+                 "whether all states of least power (or potential) have the same slips; true or false only if that is"
+                 " proven",
                  lambda a: a.solution.minimum_is_unique),
         Quantity("time", "time", "simulated time that the dynamics has reached", _at_end("time")),
         Quantity("duration", "time", "simulated time at which the dynamics was asked to end",
@@ -351,14 +354,15 @@ FINDINGS = _named(
 
 STRUCTURE = {
     "minimum cut": [
-        Quantity("power_minimum_cut", "energy/time", "power of the minimum cut, the least power if every sphere"
-                 " turns with the bottom or with the top",
+        Quantity("power_minimum_cut", "energy/time", "power of the minimum cut, the state of least power (or"
+                 " potential) if every sphere turns with the bottom or with the top",
                  lambda s: s.interface and s.interface.power, r"P_\mathrm{cut}"),
         Quantity("power_over_cut", "1", "power / power_minimum_cut",
                  lambda s: s.interface and _ratio(s.power, s.interface.power), r"P\,/\,P_\mathrm{cut}"),
-        Quantity("cut_is_unique", "1", "whether every other cut is proven to have more power than the minimum cut",
+        Quantity("cut_is_unique", "1", "whether every other cut is proven to have more power (or potential) than the"
+                 " minimum cut",
                  lambda s: s.interface and s.interface.unique),
-        Quantity("next_cut_over_cut", "1", "power (or potential, if that is what is least) of the second weakest cut,"
+        Quantity("next_cut_over_cut", "1", "power (or potential) of the second weakest cut,"
                  " divided by that of the minimum cut; a cut separates two connected groups of spheres, of which one"
                  " turns with the bottom and one with the top",
                  lambda s: s.interface and s.interface.next_over,

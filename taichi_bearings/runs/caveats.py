@@ -250,7 +250,7 @@ def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
         kinds = {
             f"slipping{faster}, although with friction below its limit": held,
             f"{'at the friction limit, and ' * holds}slipping too slowly to be told from rest": number - held - passing,
-            "slipping, but perhaps not in every state of least power": passing,
+            "slipping, but perhaps not at every minimum": passing,
         }
         reasons = "; ".join(f"{count:,} {words}" for words, count in kinds.items() if count)
         yield f"{number:,} of {counted(all_contacts, 'contact')} undecided: {reasons}"

@@ -75,7 +75,7 @@ def test_a_run_that_did_not_reach_the_minimum_is_said_to(replicas, tmp_path):
     words = ("--shape", "4,4,5", "--method", "gradient-descent", "--iterations", 4, "--replicas", replicas)
     assert bearings("run", *words, "--out", tmp_path / "run").returncode == 1
     done = bearings("analyse", tmp_path / "run", "--no-figures")
-    beyond = "not certified (least power not proven within the tolerance)"
+    beyond = "not certified (least power or potential not proven within the tolerance)"
     assert f"{beyond}: {replicas} of {replicas} sample{'s' * (replicas > 1)} (step-limit)" in done.stdout
     report = json.loads(bearings("analyse", tmp_path / "run", "--no-figures", "--json").stdout)
     assert report["status"] == ("step-limit" if replicas == 1 else ["step-limit"] * 2)

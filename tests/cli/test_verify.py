@@ -38,12 +38,20 @@ def test_a_run_is_verified_from_its_file(folder, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("law", "words"), [("coulomb", "friction"), ("viscous", "damping"), ("coulomb-viscous", "friction and damping")]
+    ("law", "words", "least"),
+    [
+        ("coulomb", "friction", "power"),
+        ("viscous", "damping", "power"),
+        ("coulomb-viscous", "friction and damping", "potential"),
+    ],
 )
-def test_the_forces_whose_balance_is_judged_are_those_of_the_law(law, words, tmp_path):
+def test_forces_and_minimum_are_named_as_the_law_has_them(law, words, least, tmp_path):
     out = tmp_path / "run"
     assert bearings("run", "--shape", "3,3,3", "--law", law, "--figures", "none", "--out", out).returncode == 0
-    assert f"\n  {words}: in balance" in bearings("verify", out).stdout
+    text = bearings("verify", out).stdout
+    assert f"\n  {words}: in balance" in text
+    assert f"<= least {least} <=" in text
+    assert f"no other slips have the least {least}\n" in text
 
 
 def test_a_changed_number_ends_with_one(folder, tmp_path):

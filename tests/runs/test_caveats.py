@@ -70,7 +70,7 @@ def test_undecided_contacts_of_a_film_have_no_friction_limit():
     found = tb.solve(tb.Packing.lattice("fcc", (2, 2, 2), seed=3, law="viscous"), "gradient-descent", iterations=2)
     assert found.undecided > 0
     (sentence,) = (words for words in found.warnings if "undecided" in words)
-    assert sentence.endswith(f": {found.undecided} slipping, but perhaps not in every state of least power")
+    assert sentence.endswith(f": {found.undecided} slipping, but perhaps not at every minimum")
 
 
 def test_undecided_contacts_are_counted(solved):
