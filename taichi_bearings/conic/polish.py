@@ -42,6 +42,7 @@ def polished(
     strengths: Strengths,
     spins: Pair,
     chosen: np.ndarray,
+    factorised: np.ndarray,
 ) -> tuple[Pair, np.ndarray, np.ndarray, np.ndarray]:
     """Return spins, slips and forces near the given spins at which all torques balance in twice the precision. Four
     things: spins (unknowns,) of the whole system as sums of two doubles; slips (d, n); minus the friction forces (d,
@@ -53,38 +54,46 @@ def polished(
     strengths : friction and viscosity (n,) of these contacts; no viscosity: None.
     spins : (sets of tied spins,), where to begin, sums of two doubles.
     chosen : (samples,) mask of the samples to try.
+    factorised : (samples,) mask of the samples whose matrix is factorised at spins close to the given ones.
     """
     system = _PreciseSystem(tied)
     # low parts of the given spins may be larger than the rounding of the high ones; two_sum makes them smaller
-    balanced, slips, fine = _balanced(system, matrix, strengths, two_sum(*spins), chosen)
-    return tied.expanded(balanced), slips[0], -_friction_along(strengths[0], slips)[0], fine
+    balanced, slips, friction, fine = _balanced(system, matrix, strengths, two_sum(*spins), chosen, factorised)
+    return tied.expanded(balanced), slips, -friction, fine
 
 
 def _balanced(
-    system: "_PreciseSystem", matrix: NewtonMatrix, strengths: Strengths, unknown: Pair, going: np.ndarray
-) -> tuple[Pair, Pair, np.ndarray]:
-    """Reduce the torques by Newton's method as far as that goes. Return the unknowns that were reached, the slips (d,
-    n) there, both as sums of two doubles, and a mask (samples,) of the samples in which the method works and no slip is
-    0.
+    system: "_PreciseSystem",
+    matrix: NewtonMatrix,
+    strengths: Strengths,
+    unknown: Pair,
+    going: np.ndarray,
+    factorised: np.ndarray,
+) -> tuple[Pair, np.ndarray, np.ndarray, np.ndarray]:
+    """Reduce the torques by Newton's method as far as that goes. Return the unknowns that were reached, as sums of two
+    doubles; slips and forces of friction (d, n) there, in doubles; and a mask (samples,) of the samples in which the
+    method works and no slip is 0.
 
     system : computes slips and torques in twice the precision.
     matrix : Newton matrix of the contacts that are left.
     strengths : friction and viscosity, (n,) each, of n contacts; no viscosity: None.
     unknown : (unknowns,), spins to begin with, as sums of two doubles.
     going : (samples,) mask of the samples to try.
+    factorised : (samples,) mask of the samples whose matrix is factorised at unknowns close to `unknown`.
     """
     owners, strongest = system.owners, system.owners.largest(strengths[0])
-    best, fine, least, factorised = unknown, np.zeros_like(going), np.full(len(going), np.inf), np.zeros_like(going)
-    slips: Pair | None = None  # those at `best`
+    best, fine, least = unknown, np.zeros_like(going), np.full(len(going), np.inf)
+    slips, friction = np.zeros((2, *system.contracted.offset.shape))  # those at `best`
     for _ in range(MOST_POLISHING_STEPS):
         precise = system.differences(unknown)
         slip = length(precise[0])
-        torques = system.torques(_forces(strengths, precise))
+        held = _friction_along(strengths[0], precise)
+        torques = system.torques(held if strengths[1] is None else add(held, scaled(strengths[1], precise)))
         size, smallest = owners.largest_of_spins(np.abs(torques)), owners.smallest(slip)
         going = going & (size < least) & (smallest > 0)
         # Keep the best point; go on while torques are more than halved and are not yet negligible.
         best, fine = _where(going[owners.spins], unknown, best), fine | going
-        slips = precise if slips is None else _where(going[owners.contacts], precise, slips)
+        slips, friction = _where(going[owners.contacts], (precise[0], held[0]), (slips, friction))
         enough = np.maximum(POLISHED_TORQUE, np.minimum(SMALL_TORQUE, SMALL_SHARE_OF_SLIP * smallest)) * strongest
         going = going & (size <= least / 2) & (size > enough)
         if not going.any():
@@ -98,8 +107,7 @@ def _balanced(
         going = going & (change <= MOST_SLIP_CHANGE)
         fine, factorised = fine & (going | ~before), change < MATRIX_CHANGE
         unknown = _where(going[owners.spins], add(unknown, exactly(step)), unknown)
-    assert slips is not None
-    return best, slips, fine
+    return best, slips, friction, fine
 
 
 class _PreciseSystem:
@@ -156,17 +164,6 @@ class _PreciseSystem:
         return found
 
 
-def _forces(strengths: Strengths, difference: Pair) -> Pair:
-    """Return the forces (d, n) of friction and viscosity in the direction of the slip, as sums of two doubles.
-
-    strengths : friction and viscosity, (n,) each.
-    difference : (d, n), slips of n contacts with up to d components, as sums of two doubles.
-    """
-    friction, viscosity = strengths
-    held = _friction_along(friction, difference)
-    return held if viscosity is None else add(held, scaled(viscosity, difference))
-
-
 def _friction_along(friction: np.ndarray, difference: Pair) -> Pair:
     """Return friction times the direction of the slip, (d, n), as sums of two doubles; exact where the slip has one
     component only.
@@ -185,8 +182,8 @@ def _friction_along(friction: np.ndarray, difference: Pair) -> Pair:
 
 
 def _where(mask: np.ndarray, one: Pair, other: Pair) -> Pair:
-    """Return the numbers of `one` where `mask` is True, and those of `other` elsewhere. Each number is a sum of two
-    doubles, and all arrays have one shape."""
+    """Return two arrays: the numbers of the two arrays `one` where `mask` is True, and those of `other` elsewhere. All
+    have the shape of `mask`, or one more axis before it."""
     if mask.all():
         return one
     return np.where(mask, one[0], other[0]), np.where(mask, one[1], other[1])

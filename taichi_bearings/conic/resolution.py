@@ -111,6 +111,8 @@ TIED_TRIALS = 3  # most of these trials; from one to the next contacts are untie
 # Newton's method ends when the largest torque over the mean friction is below NEWTON_TORQUE, some 1e4 roundings of a
 # force; after its last step a torque below ROUNDED_TORQUE is accepted.
 NEWTON_TORQUE, ROUNDED_TORQUE = 1e-12, 1e-4
+# change of a slip by a Newton step over the slip, below which the next step may use the same matrix
+KEPT_MATRIX_CHANGE = 1e-4
 NEWTON_TRIALS = 2  # runs of Newton's method; before the second, contacts that have come to rest are tied
 # largest change of a slip by a Newton step over the slip, if the whole step does not reverse the slip, and if it does
 MOST_CHANGE_ALONG, MOST_CHANGE_IF_REVERSED = 0.5, 0.95
@@ -590,6 +592,7 @@ class _SmoothPower:
     spins : (unknowns left,), the spins reached so far, as sums of two doubles.
     difference : (d, kept), the slips at these spins; a contact has up to d components.
     balanced : (samples,) mask of the samples in which all torques balance: they have come to the minimum.
+    is_factorised : (samples,) mask of the samples whose `matrix` is factorised at spins close to `spins`.
     """
 
     def __init__(
@@ -616,7 +619,7 @@ class _SmoothPower:
         self.friction = np.concatenate([iterate.friction for iterate in iterates])[self.tied.kept]
         viscosity = [iterate.viscosity for iterate in iterates if iterate.viscosity is not None]
         self.viscosity = np.concatenate(viscosity)[self.tied.kept] if viscosity else None
-        self.balanced = np.zeros(self.samples, dtype=bool)
+        self.balanced, self.is_factorised = np.zeros((2, self.samples), dtype=bool)
         # set by `descend`
         self.spins: Pair
         self.difference: np.ndarray
@@ -655,6 +658,7 @@ class _SmoothPower:
             at_rest, going = at_rest | resting, going & ~owners.any(resting)
             most = np.where(turned, MOST_CHANGE_IF_REVERSED, MOST_CHANGE_ALONG)
             reach = owners.largest(length(change) / (most * slip))
+            self.is_factorised = np.where(going, reach < KEPT_MATRIX_CHANGE, self.is_factorised)
             along, (high, low) = np.minimum(1.0, 1 / np.maximum(reach, TINY)), self.spins
             self.spins = high, np.where(going[of_spins], low + along[of_spins] * step, low)
             there = self.difference + along[of_contacts] * change
@@ -675,7 +679,7 @@ class _SmoothPower:
         if not self.balanced.any():
             return [None] * self.samples
         (spins, rest), difference, dual, fine = polished(
-            self.tied, self.matrix, (self.friction, self.viscosity), self.spins, self.balanced
+            self.tied, self.matrix, (self.friction, self.viscosity), self.spins, self.balanced, self.is_factorised
         )
         # minima in twice the precision; and in doubles, if that was not reached in some sample
         rests = np.split(rest, self.samples)
