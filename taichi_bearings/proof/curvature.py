@@ -112,7 +112,7 @@ class Slipping:
         """
         network, unknowns, unknown_of_sphere = motion.network, 0, {}
         slipping = np.flatnonzero(network.counts & ~motion.rests)
-        ends, felt = network.graph.contact[:, slipping], _slipping_components(network, slipping)
+        ends, felt = network.graph.contact.take(slipping, 1), _slipping_components(network, slipping)
         for k in network.needed:
             label = motion.domain[k] if domain is None else domain[k]
             # A domain gets an unknown if a slipping contact joins it to another domain and no sphere of it is driven.
@@ -316,7 +316,7 @@ def bearable(
     unsure : by component k, (N,), in units of force: how far the sum of the friction that contacts at their limit exert
         on each sphere may be from that at the minimum (tied_minima.py); None if there are no such contacts."""
     network, added_by_domain = motion.network, {}
-    moment, torques = network.own_moment, network.own_torques
+    torques = network.own_torques
     off = _change_of_friction(motion, contacts, relative_change)
     for k in network.needed:
         # Bound on the torque on each sphere that additional friction of resting contacts has to balance: the torque
@@ -335,8 +335,7 @@ def bearable(
     # Compare the stored friction and what is added to it, a vector of the components, with the friction limit.
     resting = np.flatnonzero(motion.rests & network.counts)
     feels = {k: network.feels[k][resting] for k in network.needed}
-    stored_size = length([moment[k].at(resting).where(feels[k]) for k in network.needed])
-    margin = network.holding.at(resting) - stored_size
+    margin = network.holding.at(resting) - network.own_size.at(resting)
     first = network.graph.contact[0, resting]
     added = np.sqrt(sum(np.where(feels[k], added_by_domain[k][first], 0.0) ** 2 for k in network.needed))
     takes_part = np.any(list(feels.values()), axis=0)

@@ -330,6 +330,12 @@ class JudgedNetwork:
             (part if all_count else part.where(self.counts)) if some else zeros(len(self.acts)) for part, some in pairs
         ]
 
+    @cached_property
+    def own_size(self) -> Enclosure:
+        """(m,), sizes of the vectors `own_moment` of the m contacts, an enclosure in units of force: those of the
+        friction of contacts along the axes."""
+        return self.graph.lengths(self.own_moment)
+
     @property
     def own_friction(self) -> list[Enclosure]:
         """Stored friction F of the contacts that can dissipate, 0 for others, by component: C enclosures (m,). On
@@ -456,7 +462,7 @@ class Motion:
         anchor = network.graph.anchor(k)  # the sphere itself, or the first of those that are driven like it
         if not self.joins(k):
             return anchor
-        first, second = network.graph.contact[:, self.rests & network.slips_with[k]]
+        first, second = network.graph.contact.compress(self.rests & network.slips_with[k], 1)
         others = np.flatnonzero(anchor != np.arange(size))
         return pieces(size, np.append(first, others), np.append(second, anchor[others]))
 
@@ -527,7 +533,7 @@ class Motion:
         is that of the slip along this component; it is exactly 0 if contacts at rest join both spheres.
 
         contacts : (q,), indices of the contacts; this component must make all of them slip."""
-        first, second = self.network.graph.contact[:, contacts]
+        first, second = self.network.graph.contact.take(contacts, 1)
         signed, shift = self._signed_spin(k)
         domain, found = self.domain[k], nothing(len(contacts))
         differ = np.flatnonzero(domain[first] != domain[second])
