@@ -102,9 +102,9 @@ def count_powers(
     bins_per_decade : bins for each factor of 10 of the power.
     unit : (R,), power that serves as unit in each sample; None for 1.
     """
-    replica, contact = np.nonzero((state == ContactState.SLIPPING) & (power > 0))
-    scale = np.ones(len(power)) if unit is None else unit
-    number = np.floor(bins_per_decade * np.log10(power[replica, contact] / scale[replica])).astype(int)
+    slipping = np.flatnonzero((state == ContactState.SLIPPING) & (power > 0))
+    replica, scale = slipping // power.shape[1], np.ones(len(power)) if unit is None else unit
+    number = np.floor(bins_per_decade * np.log10(power.ravel()[slipping] / scale[replica])).astype(int)
     first, bins = (int(number.min()), int(np.ptp(number)) + 1) if len(number) else (0, 0)
     count = np.bincount(replica * bins + number - first, minlength=len(power) * bins).reshape(len(power), bins)
     return SampleCounts(first, bins_per_decade, count, counts_of_states(state)[:, COUNTED_STATES])

@@ -230,6 +230,8 @@ def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
     solution : the answer to all samples.
     settings : not used.
     """
+    if solution.states_proven.all():
+        return
     number = int(solution.counts[:, ContactState.UNDECIDED].sum())
     named = ~solution.proven & (solution.state != ContactState.UNDECIDED)
     uneven = too_uneven(solution) & ~named.any(axis=1) & ~solution.states_proven
@@ -316,8 +318,8 @@ def _stretched_springs(solution: Solution, settings: RunSettings) -> Iterator[st
     solution : the answer to all samples.
     settings : not used.
     """
-    share = solution.findings.get("elastic_share", np.zeros(1))
-    largest = float(np.nanmax(share, initial=0.0))
+    share = solution.findings.get("elastic_share")
+    largest = 0.0 if share is None else float(np.nanmax(share, initial=0.0))
     if largest > STRETCHED_SHARE:
         stiffer = largest / STRETCHED_SHARE
         yield (
