@@ -64,6 +64,7 @@ def stage(name: str, expected: float = 0.0) -> Iterator[Stage]:
     finally:
         if who:
             who.end(new)
+        new.report = None  # its arrays may be large, and callers may still hold the stage
 
 
 def each(items: Sequence[Item], name: str, work: Callable[[Item], float] | None = None) -> Iterator[Item]:

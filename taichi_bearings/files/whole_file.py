@@ -186,9 +186,9 @@ class Finding:
 def put(group: h5py.Group, name: str, values: object, unit: str, text: str, **packing: object) -> None:
     """Write a data set into a group, with its unit and a description.
 
-    name, values : name and values of the data set.
+    name, values : name and values of the data set; None for values that are written later.
     unit, text : attributes `units` and `description`.
-    packing : arguments of h5py on compression.
+    packing : further arguments of h5py for a new data set, such as those on compression.
     """
     stored = group.create_dataset(name, data=values, **packing)
     stored.attrs["units"], stored.attrs["description"] = unit, text

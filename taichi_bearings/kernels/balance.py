@@ -32,19 +32,20 @@ class BalanceKernels:
     BLAS library multiplies by the sines, and a kernel solves the chains.
 
     On large lattices each column z_0 ... z_n of spheres along the height is *folded* before these products, which
-    halves their work, and *unfolded* after them: the sums z_k + z_(n-k) of mirror images take the place of its lower
-    half, the differences z_k - z_(n-k) that of its upper half. A sine is even or odd under reflection of the height, so
+    halves their work, and *unfolded* after them: two *half columns* take its place, that of the sums z_k + z_(n-k) of
+    mirror images, and that of the differences z_k - z_(n-k). A sine is even or odd under reflection of the height, so
     half of the sines act on the sums only, the others on the differences.
 
     The kernels share these arguments (C spin components, R samples, N the shape of the lattice, m free spheres along
     the height):
 
     modes : (C, R, *N) numbers, flat; scratch of the solve. On a CPU each column along the height is filled up to whole
-        blocks by numbers that stay 0. Where columns are folded, those of a chain stand one after the other.
+        blocks by numbers that stay 0. Where columns are folded, the shape is (C, 2, R, columns, half column): all half
+        columns of the even sines, then all of the odd ones, with those of a chain one after the other.
     sines : (m, m), the matrix of the sines along the height, flat; on a GPU alone.
-    chains : (C, longest side, height), flat: the factors by which the elimination of a chain multiplies, for each
-        component, place along the chain, and mode. With periodic axes as many numbers follow that close chains to
-        rings.
+    chains : (C, longest side, height), flat; with folded columns (C, 2, longest side, half column): the factors by
+        which the elimination of a chain multiplies, for each component, place along the chain, and mode. With periodic
+        axes as many numbers follow that close chains to rings.
     count : spheres of all samples.
     stride_x, stride_y : distance in memory, in spheres, from one to its neighbour along x and along y.
     sites : spheres of one sample.
@@ -58,7 +59,7 @@ class BalanceKernels:
         spec : names and numbers of components of the fields, in the order of their rows (a row is one number of every
             sphere).
         stencil : spin components, dimension and periodic axes of the lattice.
-        folds : True if columns are folded, so that those of a chain stand one after the other in `modes`.
+        folds : True if columns are folded.
         kinds : types of the numbers of the fields and of `modes`, such as "float64"; kernels of others are others."""
         slot = first_slots(spec)  # first row of each field by name
         self.pull, self.potential = slot["pull"], slot["potential"]
@@ -181,7 +182,9 @@ class BalanceKernels:
                 side, stride = self.chain(slot, stride_x, stride_y, sites)
                 if 0 <= line < count // side:
                     height = self.height(stride_x, stride_y)
-                    self.chains_of_group(modes, modes, chains, slot, line, count, stride, side, height, longest, weight)
+                    self.chains_of_group(
+                        modes, modes, chains, slot, 0, line, count, stride, side, height, longest, weight
+                    )
                 line -= count // side
         # inverse transform, added to the potentials
         for item in range(self.components * self.tiles(count, stride_x, stride_y)):
@@ -216,8 +219,8 @@ class BalanceKernels:
 
     @ti.func
     def chains_of_group(
-        self, modes: ti.template(), blocks: ti.template(), chains: ti.template(), slot: ti.template(), group, count,
-        stride, side, height, longest, weight,
+        self, modes: ti.template(), blocks: ti.template(), chains: ti.template(), slot: ti.template(), half, group,
+        count, stride, side, height, longest, weight,
     ):  # fmt: skip
         """Solve a block of neighbouring chains in place: as many as a block has sites. A chain has the spheres along
         one side of the lattice, for one sine along the height.
@@ -231,21 +234,21 @@ class BalanceKernels:
         blocks : the same memory as vectors, one for each block.
         chains : (C, longest, height), flat: factors by which the elimination of the chains multiplies; with periodic
             axes followed by as many numbers, the vectors z.
-        slot : number of the spin component.
-        group : number of the block of chains, among those of this component in all samples.
-        count : numbers of a component in `modes`.
+        slot, half : number of the spin component; and 1 for half columns of odd sines, else 0.
+        group : number of the block of chains, among those of this component (and half) in all samples.
+        count : numbers of a component (and half) in `modes`.
         stride : distance in memory from one sphere of a chain to the next.
         side : number of spheres of a chain.
-        height : numbers of a column in `modes`.
+        height : numbers of a column, or half column, in `modes`.
         longest : spheres of the longest chain.
         weight : relative stiffness of the springs along the chains.
         """
         # where the block begins among the modes and in the tables of factors
-        across = stride // self.block
-        along = group % across * self.block
-        first = slot * count + group // across * stride * side + along
-        factors = slot * longest * height + along % height
-        closures = factors + self.components * longest * height
+        across, halves = stride // self.block, ti.static(2 if self.folds else 1)
+        along, number = group % across * self.block, halves * slot + half
+        first = number * count + group // across * stride * side + along
+        factors = number * longest * height + along % height
+        closures = factors + self.components * halves * longest * height
         # forward: each sphere gets its pull and the weighted value of the sphere before, times its factor
         ahead = ti.static(range(self.ahead))
         carried, across_ends = zero(self.block), zero(self.block)
@@ -276,7 +279,7 @@ class BalanceKernels:
                     store(modes, blocks, at[u], self.block, new)
 
     @ti.func
-    def place_of_column(self, slot: ti.template(), column, stride_x, stride_y, sites):
+    def place_of_column(self, slot, column, stride_x, stride_y, sites):
         """Return the number of a column of spheres (along the height) in the order of `modes` on a CPU, where the
         columns of a chain stand one after the other.
 
@@ -285,38 +288,39 @@ class BalanceKernels:
         stride_x, stride_y : distance in memory, in spheres, from one to its neighbour along x and along y.
         sites : spheres of one sample."""
         place = column
-        if ti.static(self.stencil.dimension == 3 and self.stencil.coupled_sides[slot] == 0):
-            side_x, side_y = sites // stride_x, stride_x // stride_y
-            sample, inside = column // (side_x * side_y), column % (side_x * side_y)
-            place = (sample * side_y + inside % side_y) * side_x + inside // side_y
+        for k, side in ti.static(enumerate(self.stencil.coupled_sides)):
+            if ti.static(self.stencil.dimension == 3 and side == 0) and slot == k:
+                side_x, side_y = sites // stride_x, stride_x // stride_y
+                sample, inside = column // (side_x * side_y), column % (side_x * side_y)
+                place = (sample * side_y + inside % side_y) * side_x + inside // side_y
         return place
 
     @ti.kernel
     def fold(
         self, workers: int, values: VALUES, folded: VALUES, blocks: BLOCKS, row: int, margin: int, count: int,
-        stride_x: int, stride_y: int, sites: int, sums: int, pitch: int,
+        stride_x: int, stride_y: int, sites: int, half: int,
     ):  # fmt: skip
-        """Write the pulls on all spheres into `folded`, column by column: first the sums for two spheres at equal
-        distance from bottom and top, from the ends of the column to its middle, then the differences. A sphere in the
-        middle is added to itself. Blocks are filled up with further sums and differences of the column.
+        """Write the pulls on all spheres into `folded`, column by column: into one half column the sums for two spheres
+        at equal distance from bottom and top, from the ends of the column to its middle, into the other the
+        differences. A sphere in the middle is added to itself. Blocks are filled up with further sums and differences.
 
         workers : number of threads; each takes an equal share of the columns.
         values : all fields, flat; `pull` is read.
-        folded : (C components, R samples, columns, pitch) numbers, flat, which are written; columns stand in the order
-            of the chains.
+        folded : (C components, 2, R samples, columns, half) numbers, flat, which are written: all half columns of sums,
+            then all of differences, in the order of the chains.
         blocks : the same memory as vectors, one for each block.
         row : length of a row of the fields, which has one number of every sphere.
         margin : numbers of a row before the first sphere.
         count : spheres of all samples.
         stride_x, stride_y : distance in memory from a sphere to its neighbour along x and along y.
         sites : spheres of one sample.
-        sums, pitch : numbers of a folded column that are sums, and all, both whole blocks.
+        half : numbers of a half column, whole blocks.
         """
         for item in range(workers * LEAST_CHUNK):
             if item % LEAST_CHUNK == 0:
                 self.at_columns(
                     True, item // LEAST_CHUNK, workers, values, folded, blocks, row, margin, count, stride_x, stride_y,
-                    sites, sums, pitch,
+                    sites, half,
                 )  # fmt: skip
 
     @ti.func
@@ -330,15 +334,15 @@ class BalanceKernels:
     @ti.kernel
     def unfold(
         self, workers: int, folded: VALUES, values: VALUES, blocks: BLOCKS, row: int, margin: int, count: int,
-        stride_x: int, stride_y: int, sites: int, sums: int, pitch: int,
+        stride_x: int, stride_y: int, sites: int, half: int,
     ):  # fmt: skip
-        """Add the solution of the Poisson problem to the field `potential` of all spheres. It is given column by column
-        as an even and an odd part for the lower half of the column: the solution is their sum there, and their
+        """Add the solution of the Poisson problem to the field `potential` of all spheres. For each column it is given
+        as an even and an odd half column: the solution is their sum in the lower half of the column, and their
         difference at the mirror image in the upper half.
 
         workers : number of threads; each takes an equal share of the columns.
-        folded : (C components, R samples, columns, pitch) numbers, flat: of each column the even part, then the odd
-            part; columns stand in the order of the chains.
+        folded : (C components, 2, R samples, columns, half) numbers, flat: all even half columns, then all odd ones, in
+            the order of the chains.
         values : all fields, flat; `potential` is changed.
         blocks : the same memory as vectors, one for each block.
         row : length of a row of the fields, which has one number of every sphere.
@@ -346,19 +350,19 @@ class BalanceKernels:
         count : spheres of all samples.
         stride_x, stride_y : distance in memory from a sphere to its neighbour along x and along y.
         sites : spheres of one sample.
-        sums, pitch : numbers of a folded column that belong to the even part, and all, both whole blocks.
+        half : numbers of a half column, whole blocks.
         """
         for item in range(workers * LEAST_CHUNK):
             if item % LEAST_CHUNK == 0:
                 self.at_columns(
                     False, item // LEAST_CHUNK, workers, values, folded, blocks, row, margin, count, stride_x, stride_y,
-                    sites, sums, pitch,
+                    sites, half,
                 )  # fmt: skip
 
     @ti.func
     def at_columns(
         self, folds: ti.template(), worker, workers, values: ti.template(), folded: ti.template(),
-        blocks: ti.template(), row, margin, count, stride_x, stride_y, sites, sums, pitch,
+        blocks: ti.template(), row, margin, count, stride_x, stride_y, sites, half,
     ):  # fmt: skip
         """Fold or unfold the columns of one thread, an equal share of all.
 
@@ -366,54 +370,54 @@ class BalanceKernels:
         worker, workers : number of the thread, and number of threads.
         values, folded : all fields, and the folded columns, flat.
         blocks : the one of these two arrays that is written, as vectors, one for each block.
-        row, margin, count, stride_x, stride_y, sites, sums, pitch : see the kernel :meth:`fold`."""
+        row, margin, count, stride_x, stride_y, sites, half : see the kernel :meth:`fold`."""
         height = self.height(stride_x, stride_y)
-        columns = count // height
-        for slot in ti.static(range(self.components)):
-            field = ti.static((self.pull if folds else self.potential) + slot)
+        columns, field = count // height, ti.static(self.pull if folds else self.potential)
+        for slot in range(self.components):  # at run time, as a static loop takes twice the time to compile
             for column in range(columns * worker // workers, columns * (worker + 1) // workers):
-                low = field * row + margin + column * height
-                to = (slot * columns + self.place_of_column(slot, column, stride_x, stride_y, sites)) * pitch
+                low = (field + slot) * row + margin + column * height
+                even = (2 * slot * columns + self.place_of_column(slot, column, stride_x, stride_y, sites)) * half
+                odd = even + columns * half
                 if ti.static(folds):
-                    self.fold_column(values, folded, blocks, low, to, height, sums, pitch)
+                    self.fold_column(values, folded, blocks, low, even, odd, height, half)
                 else:
                     rest = (self.rest - self.potential) * row  # from a potential to what its rounding leaves out
-                    self.unfold_column(folded, values, blocks, low, to, height, sums, rest)
+                    self.unfold_column(folded, values, blocks, low, even, odd, height, rest)
 
     @ti.func
     def fold_column(
-        self, values: ti.template(), folded: ti.template(), blocks: ti.template(), low, to, height, sums, pitch
+        self, values: ti.template(), folded: ti.template(), blocks: ti.template(), low, even, odd, height, half
     ):
-        """Fold one column of spheres: write first the sums, then the differences, of the pulls on two spheres at equal
-        distance from its ends.
+        """Fold one column of spheres: write the sums and the differences of the pulls on two spheres at equal distance
+        from its ends.
 
         values : all fields, flat.
         folded, blocks : the folded columns, flat, and the same memory as vectors, one for each block.
-        low, to : index of the pull on the lowest sphere, and of the first number of the folded column.
+        low : index of the pull on the lowest sphere.
+        even, odd : index of the first sum and of the first difference.
         height : spheres along the height.
-        sums, pitch : numbers of a folded column that are sums, and all."""
-        for b in range(sums // self.block):
+        half : numbers of a half column."""
+        for b in range(half // self.block):
             at = b * self.block
             lower = load(values, in_range(low + at), self.block)
             upper = load(values, in_range(low + height - self.block - at), self.block)
             upper = reversed_block(upper, self.block)
-            store(folded, blocks, to + at, self.block, self.rounded(lower + upper))
-            if sums + at < pitch:
-                store(folded, blocks, to + sums + at, self.block, self.rounded(lower - upper))
+            store(folded, blocks, even + at, self.block, self.rounded(lower + upper))
+            store(folded, blocks, odd + at, self.block, self.rounded(lower - upper))
 
     @ti.func
     def unfold_column(
-        self, folded: ti.template(), values: ti.template(), blocks: ti.template(), low, even, height, sums, rest
+        self, folded: ti.template(), values: ti.template(), blocks: ti.template(), low, even, odd, height, rest
     ):
         """Add the solution for one column of spheres, given as its even and its odd part, to their potentials.
 
         folded : the parts of all columns, flat.
         values, blocks : all fields, flat, and the same memory as vectors, one for each block.
-        low, even : index of the potential of the lowest sphere, and of the first number of the even part.
+        low : index of the potential of the lowest sphere.
+        even, odd : index of the first number of the even and of the odd part.
         height : spheres along the height.
-        sums : distance from the even part to the odd one.
         rest : distance from a potential to what its rounding leaves out, if that is stored."""
-        half, odd = height // 2, even + sums
+        half = height // 2
         # spheres of the lower half that are done block by block: none if the upper half does not end with a whole block
         whole = half // self.block * self.block * (height % self.block == 0)
         for b in range(whole // self.block):
@@ -471,13 +475,13 @@ class BalanceKernels:
 
         workers : number of threads.
         modes : (C components, R samples, columns, numbers of a column) pulls in each mode, flat, replaced by the
-            solutions; a column is filled up to whole blocks.
+            solutions; a column is filled up to whole blocks. Where columns are folded, an axis of 2 follows C.
         blocks : the same memory as vectors, one for each block.
-        chains : (C, longest, height), flat: factors by which the elimination of the chains multiplies.
-        count : numbers of a component in `modes`.
+        chains : factors by which the elimination of the chains multiplies, flat.
+        count : numbers of a component (and half) in `modes`.
         stride_x, stride_y : distance in `modes` from a sphere to its neighbour along x and along y, if columns are not
-            folded; the second, in 2D the first, is the length of a column.
-        sites : numbers of a component of one replica (one of the samples that are solved together).
+            folded; the second, in 2D the first, is the length of a column or half column.
+        sites : numbers of a component (and half) of one replica (one of the samples that are solved together).
         longest : spheres of the longest chain.
         weight : stiffness of the springs along the chains.
         """
@@ -489,7 +493,8 @@ class BalanceKernels:
                     if ti.static(self.folds):
                         stride = height
                     groups = count // side // self.block
-                    for group in range(groups * worker // workers, groups * (worker + 1) // workers):
-                        self.chains_of_group(
-                            modes, blocks, chains, slot, group, count, stride, side, height, longest, weight
-                        )
+                    for half in range(ti.static(2 if self.folds else 1)):
+                        for group in range(groups * worker // workers, groups * (worker + 1) // workers):
+                            self.chains_of_group(
+                                modes, blocks, chains, slot, half, group, count, stride, side, height, longest, weight
+                            )

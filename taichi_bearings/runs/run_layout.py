@@ -40,6 +40,7 @@ FRICTION_OF_SECOND = {
 """Descriptions of the friction of packings, by dimension. These forces prove the lower bound: they balance, and none
 exceeds the friction limit."""
 OF_VECTORS = 5  # axes of friction on cubic lattices: replicas, three of the lattice, and components, of which one is 0
+MOST_OF_CHUNK = 32  # contacts along a side of a chunk of a data set; HDF5 reads larger chunks far more slowly
 
 Row = tuple[str, np.ndarray, str, str]
 """Name, values with a leading axis of replicas, unit and description of a data set."""
@@ -55,14 +56,35 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, obje
     one = solution.scene.replicas == 1
 
     def fill(file: h5py.File) -> None:
-        """Write all data sets into an opened HDF5 file; whole numbers and vectors with many zeros are compressed."""
+        """Write all data sets into an opened HDF5 file; whole numbers are compressed."""
         for name, values, unit, text in _rows(solution):
             values = values.astype(np.uint8) if values.dtype == bool else values
-            sparse = values.dtype == np.uint8 or (name.endswith("/friction") and values.ndim == OF_VECTORS)
-            packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if sparse and values.size else {}
-            put(file, name, values[0] if one else values, unit, text, **packed)
+            are_vectors = name.endswith("/friction") and values.ndim == OF_VECTORS and values.size
+            values = values[0] if one else values
+            if are_vectors:
+                _put_vectors(file, name, values, unit, text)
+                continue
+            packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+            put(file, name, values, unit, text, **(packed if values.dtype == np.uint8 and values.size else {}))
 
     write_hdf5(path, fill, {**layout_of("run"), **attributes, "findings": list(solution.findings)})
+
+
+def _put_vectors(file: h5py.File, name: str, values: np.ndarray, unit: str, text: str) -> None:
+    """Write a data set of vectors so that a component which is 0 everywhere takes no space: each chunk has numbers of
+    one component, and HDF5 stores no chunk into which nothing was written, but reads it as zeros.
+
+    file : the opened file.
+    name, unit, text : name of the data set, and its attributes.
+    values : (..., components), the vectors; the first component is written in any case, as files that claim far more
+        than they hold are refused.
+    """
+    parts = [-(-side // MOST_OF_CHUNK) for side in values.shape[:-1]]
+    chunk = *(-(-side // number) for side, number in zip(values.shape, parts, strict=False)), 1
+    put(file, name, None, unit, text, shape=values.shape, dtype=values.dtype, chunks=chunk)
+    for component in range(values.shape[-1]):
+        if component == 0 or values[..., component].any():
+            file[name][..., component] = values[..., component]
 
 
 def _rows(solution: Solution) -> Iterator[Row]:

@@ -51,7 +51,8 @@ class Report:
 
 Monitor = Callable[[Report], bool | None]
 """A function that is called with the `Report` of each look; if it returns True the run ends as if interrupted."""
-STALL_PATIENCE = 20_000  # iterations before a minimisation can count as stalled
+# iterations before a minimisation can count as stalled; the gap over an earlier one below which it has fallen
+STALL_PATIENCE, STALL_FALL = 20_000, 0.9
 
 
 @dataclass(frozen=True)
@@ -565,15 +566,17 @@ class _Best:
         return self.progress.objective
 
     def has_stalled(self, iteration: int, gap: float) -> bool:
-        """Return True if a minimisation has not reduced its gap by 1 % in the last four fifths of its iterations. Then
-        the precision of its numbers allows no more.
+        """Return True if a minimisation has not reduced its gap by a tenth in the last four fifths of its iterations.
+        Then the precision of its numbers allows no more. (By less than that the best of ever more gaps, which rounding
+        scatters, falls for ever; a gap that falls as 1 / sqrt(iteration), as the slowest method's does, more than
+        halves.)
 
         A dynamics never counts as stalled, as it may take long to load its springs.
 
         iteration : number of the iteration now.
         gap : the largest relative gap of all samples now.
         """
-        if gap < 0.99 * self._gap:
+        if gap < STALL_FALL * self._gap:
             self._gap, self._improved_at = gap, iteration
         return self.keeps_best and iteration > max(STALL_PATIENCE, 5 * self._improved_at)
 

@@ -65,7 +65,8 @@ class Look:
     axis and each spin component that makes its contacts slip.
 
     friction, balanced, capped : (C, R, E), the trial forces, each cut off at its friction limit; the forces of the
-        springs; and these forces, each cut off at its friction limit. They are 0 until `look` has filled them.
+        springs; and these forces, each cut off at its friction limit. `look` fills in the components that make contacts
+        slip; the others are 0.
     """
 
     def __init__(
@@ -85,8 +86,12 @@ class Look:
         self.scene, self.stencil, self.layout, self.spin_axes = scene, stencil, layout, spin_axes
         self.staggered, self.trial, (self.stiffness, self.weights) = staggered, trial, springs
         self.friction, self.balanced, self.capped = (
-            np.zeros((len(spin_axes), scene.replicas, scene.lattice.all_contacts)) for _ in range(3)
+            np.empty((len(spin_axes), scene.replicas, scene.lattice.all_contacts)) for _ in range(3)
         )
+        for forces in (self.friction, self.balanced, self.capped):
+            for slot, axis in enumerate(spin_axes):
+                if axis < scene.lattice.dimension:
+                    forces[slot, :, scene.lattice.spans[axis]] = 0.0
         largest = float(scene.inverse_limit.max(initial=0.0))
         least = float(inverse(scene.inverse_limit).max(initial=0.0))
         # function for the lengths of vectors, given as one or two arrays: a slower one where squares could overflow
@@ -175,7 +180,7 @@ class Look:
         difference = [high - low for low, high in zip(*spins, strict=True)]
         slip = self._length(difference)
         slip *= radius  # in place, as below: further arrays would not fit into the cache
-        creep = float(np.max(slip, where=bears, initial=0.0))
+        creep = float(np.where(bears, slip, 0.0).max(initial=0.0))  # a fifth of the time that a maximum `where` takes
         slip *= coefficient
         power = scene.strength * slip.reshape(len(slip), -1).sum(axis=1)
         # forces of the springs, and these forces cut off at the friction limits

@@ -23,8 +23,9 @@ SHARED_BY_BLAS = 32  # spheres along the height from which the BLAS library woul
 PRODUCT_TYPE = np.float32  # precision of the products with sines on a CPU
 CACHED_NUMBERS = 65_536  # numbers of a product that are still in the second-level cache of a processor when it is read
 
-Pieces = list[tuple[np.ndarray, np.ndarray]]
-"""Pairs of some columns of pulls or potentials and the same columns of the modes, arrays (columns, nz)."""
+Pieces = list[tuple[int, np.ndarray, np.ndarray]]
+"""Tuples of three: number of a matrix of sines; some columns of pulls or potentials, and the same columns of the modes,
+arrays (columns, nz). Where columns are folded, these are half columns."""
 
 
 class TorqueBalance:
@@ -44,19 +45,19 @@ class TorqueBalance:
     products : type of the numbers in the products with the sines on a CPU: single precision, or that of the fields if
         that is less.
     folds : True if columns are folded.
-    sines : on a GPU the matrix (nz - 2, nz - 2) of the sine transform, flat. On a CPU a list of square matrices with a
-        row for each sphere (driven ones have 0) and a column for each sine: one matrix (nz, nz); or, for folded
-        columns, one of the even and one of the odd sines for the lower half of a column, padded by 0 to whole blocks.
-    inverse : on a CPU a list of the matrices of the inverse transform.
-    column : numbers of a column in `modes`, on a CPU whole blocks.
+    sines : on a GPU the matrix (nz - 2, nz - 2) of the sine transform, flat. On a CPU square matrices with a row for
+        each sphere (driven ones have 0) and a column for each sine: one matrix, (1, nz, nz); or, for folded columns,
+        one of the even and one of the odd sines for the lower half of a column, padded by 0 to whole blocks.
+    inverse : on a CPU the matrices of the inverse transform.
+    column : numbers of a column, or half column, in `modes`; on a CPU whole blocks.
     chains : flat, inverse pivots by which the chains, one for each mode, are solved.
     modes, folded : flat, the transformed field, where solutions replace pulls; and the field with its columns folded
-        into sums and differences.
+        into half columns of sums and of differences.
     measures : whole numbers by which kernels find spheres: length of a row in memory, strides and the like.
     workers : number of threads that share the columns (of spheres along the height); 0 on a GPU.
     each : function like `map` that shares its calls among these threads.
-    given, found : for each thread a list of pairs: some columns of the pulls, or of the potentials, and the same
-        columns of `modes`. Where columns are folded, both pulls and solutions are in `folded`.
+    given, found : for each thread a list of some columns of the pulls, or of the potentials, with the same columns of
+        `modes`. Where columns are folded, both pulls and solutions are in `folded`.
     is_rough : True if the products are less precise than the fields.
     is_small : True if a column is so short that the BLAS library would use no threads of its own.
     """
@@ -84,29 +85,29 @@ class TorqueBalance:
         # modes and eigenvalues of the chain of free spheres along the height, and where modes stand in a row
         modes, held = chain_modes(height - 2, is_held=True), weights[-1] * chain_eigenvalues(height - 2, is_held=True)
         number, self.column = np.arange(height - 2), -(-height // layout.block) * layout.block
-        place = number + 1
+        place = np.zeros_like(number), number + 1  # which half column a mode is in, and where
         if on_gpu:
             self.sines: Any = on_device(modes)
         elif self.folds:
             self.sines, self.inverse = self._halves(modes)
-            self.column = sum(map(len, self.sines))
-            place = number % 2 * len(self.sines[0]) + number // 2
+            self.column, place = len(self.sines[0]), (number % 2, number // 2)
         else:  # products of whole rows are faster than shorter ones
-            self.sines = self.inverse = [np.pad(modes, 1).astype(self.products)]
-        sides = [layout.shape[axis] for axis in stencil.coupled_sides]
-        factors, columns = self._factors(sides, (place, held), stencil), layout.sites // height
+            self.sines = self.inverse = np.pad(modes, 1).astype(self.products)[None]
+        sides, halves = [layout.shape[axis] for axis in stencil.coupled_sides], 2 if self.folds else 1
+        factors, columns = self._factors(sides, (*place, held), stencil), layout.sites // height
         if on_gpu:
             self.chains, self.modes = on_device(factors), on_device(np.zeros(len(sides) * layout.sites))
         else:
             self.chains = factors.astype(self.products).ravel()
-            self.modes = aligned_zeros(len(sides) * columns * self.column, layout.block, self.products)
+            self.modes = aligned_zeros(len(sides) * halves * columns * self.column, layout.block, self.products)
         self.measures = self.kernels.measures(layout, max(sides))
         self.each: Callable[..., Iterable[None]] = ThreadPoolExecutor(self.workers).map if self.workers > 1 else map
         self.is_rough = self.workers > 0 and self.products != fields.dtype
         self.is_small = height < SHARED_BY_BLAS
         if self.folds:
             self.folded = aligned_zeros(len(self.modes), layout.block, self.products)
-            self.given = self.found = self._shares(list(self.folded.reshape(len(sides), -1, self.column)), sides)
+            half_columns = list(self.folded.reshape(2 * len(sides), -1, self.column))
+            self.given = self.found = self._shares(half_columns, np.repeat(sides, 2).tolist())
         elif self.workers:
             sides = [layout.shape[-2]] * len(sides)
             self.given, self.found = (self._shares(list(fields.view(name)), sides) for name in ("pull", "potential"))
@@ -123,40 +124,42 @@ class TorqueBalance:
                 self._fold(0)
                 self._unfold(0)
 
-    def _halves(self, modes: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    def _halves(self, modes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the matrices of the even and the odd sines for the lower half of a column, and those of the inverse
-        transform: two lists of two square matrices, filled up to whole blocks by 0. A sphere in the middle counts half
+        transform: two arrays (2, n, n), filled up by 0 to n numbers, whole blocks. A sphere in the middle counts half
         in the first ones, as folding adds it to itself.
 
         modes : (nz - 2, nz - 2), the sines, one in each column, at the free spheres.
         """
         # rows are the spheres of the lower half, the driven one first; columns are the even or the odd sines
         height, block = len(modes) + 2, self.fields.layout.block
-        forward, back = list[np.ndarray](), list[np.ndarray]()
-        for parity, size in ((0, height - height // 2), (1, height // 2)):
-            found = np.zeros((-(-size // block) * block,) * 2)
-            found[1:size, : len(modes[parity::2])] = modes[: size - 1, parity::2]
-            back.append(found.T.astype(self.products))
-            if parity == 0 and height % 2:
-                found[size - 1] /= 2
-            forward.append(found.astype(self.products))
-        return forward, back
+        middle = (height - 1) // 2  # the last sphere that is not above its mirror image
+        found = np.zeros((2, *(-(-(middle + 1) // block) * block,) * 2))
+        for parity, size in ((0, middle), (1, height // 2 - 1)):
+            sines = modes[:size, parity::2]
+            found[parity, 1 : size + 1, : sines.shape[1]] = sines
+        inverse = found.transpose(0, 2, 1).astype(self.products)
+        if height % 2:
+            found[0, middle] /= 2
+        return found.astype(self.products), inverse
 
-    def _factors(self, sides: list[int], held: tuple[np.ndarray, np.ndarray], stencil: Stencil) -> np.ndarray:
-        """Return the numbers by which the chains are solved, (1, C, longest side, numbers of a column): inverse pivots
-        by spin component, sphere of a chain, and place in a column of modes; 0 where there is no mode. With periodic
-        axes as many numbers that close rings follow, so that the shape is (2, C, ...).
+    def _factors(self, sides: list[int], held: tuple[np.ndarray, ...], stencil: Stencil) -> np.ndarray:
+        """Return the numbers by which the chains are solved, (1, C, 1, longest side, numbers of a column): inverse
+        pivots by spin component, half of the column (2 of them where columns are folded), sphere of a chain, and place
+        in a column of modes; 0 where there is no mode. With periodic axes as many numbers that close rings follow, so
+        that the shape is (2, C, ...).
 
         sides : spheres of a chain of each spin component.
-        held : (nz - 2,) each, the place of each mode in its column, and the stiffness by which it holds its chain.
+        held : (nz - 2,) each, the half column of each mode, its place there, and the stiffness by which it holds its
+            chain.
         stencil : spin components and periodic axes of the lattice.
         """
         numbers = (chain_factors, ring_closures)[: 2 if stencil.periodic else 1]
-        place, stiffness = held
-        chains = np.zeros((len(numbers), len(sides), max(sides), self.column))
+        half, place, stiffness = held
+        chains = np.zeros((len(numbers), len(sides), 2 if self.folds else 1, max(sides), self.column))
         for kind, number in enumerate(numbers):
             for slot, side in enumerate(sides):
-                chains[kind, slot, :side, place] = number(side, stiffness, self.weight).T
+                chains[kind, slot, half, :side, place] = number(side, stiffness, self.weight).T
         return chains
 
     def begin(self) -> AbstractContextManager[None]:
@@ -191,10 +194,9 @@ class TorqueBalance:
     def _places(self) -> tuple[int, ...]:
         """Whole numbers by which kernels find a column in the fields, in their order: length of a row of the fields;
         margin of the fields; number of spheres of all samples; distances in memory to the neighbours along x and along
-        y; number of spheres of a sample; and of a folded column, how many of its numbers are sums, and how many numbers
-        it has."""
+        y; number of spheres of a sample; and numbers of a half column."""
         layout = self.fields.layout
-        return layout.length, layout.margin, *self.measures[:-1], len(self.sines[0]), self.column
+        return layout.length, layout.margin, *self.measures[:-1], self.column
 
     def _fold(self, workers: int) -> None:
         """Write the pulls into `folded`, column by column.
@@ -224,48 +226,40 @@ class TorqueBalance:
         self.kernels.chains_on_cpu(workers, *modes, self.chains, *lengths, longest, self.weight)
 
     def _shares(self, fields: list[np.ndarray], sides: list[int]) -> list[Pieces]:
-        """Divide the columns among the threads. Return for each thread a list of pairs (some columns of the fields, the
-        same columns of the modes). A pair has some whole planes, so few that they fit into the cache.
+        """Divide the columns among the threads, and return a list for each thread. The columns that stand together in
+        it are those of some whole planes, so few that they fit into the cache.
 
-        fields : of each spin component the columns, an array whose last axis is the height.
-        sides : of each spin component the number of columns in a plane.
+        fields : of each spin component (and half, where columns are folded) the columns, an array whose last axis is
+            the height.
+        sides : of each of these arrays the number of columns in a plane.
         """
         shares: list[Pieces] = [[] for _ in range(self.workers)]
-        of_modes = self.modes.reshape(len(sides), -1, self.column)
-        for side, field, modes in zip(sides, fields, of_modes, strict=True):
+        of_modes = self.modes.reshape(len(fields), -1, self.column)[..., : len(self.sines[0])]
+        for number, (side, field, modes) in enumerate(zip(sides, fields, of_modes, strict=True)):
             columns = field.reshape(len(modes), -1)
             planes, few = len(columns) // side, max(1, CACHED_NUMBERS // (side * self.column))
             for worker, share in enumerate(shares):
                 first, last = (planes * n // self.workers for n in (worker, worker + 1))
                 parts = [slice(n * side, min(n + few, last) * side) for n in range(first, last, few)]
-                share += [(columns[part], modes[part]) for part in parts]
+                share += [(number % len(self.sines), columns[part], modes[part]) for part in parts]
         return shares
 
     def _to_modes(self, pieces: Pieces) -> None:
         """Write the sine transform of some columns of the pulls into the same columns of the modes, in place.
 
-        pieces : pairs (columns of the pulls, the same columns of the modes), arrays (columns, nz or more).
+        pieces : matrices of sines by number, columns of the pulls, and the same columns of the modes.
         """
-        for pulls, modes in pieces:
-            first = 0
-            for sines in self.sines:
-                part = np.s_[:, first : first + len(sines)]
-                np.matmul(pulls[part].astype(sines.dtype, copy=False), sines, out=modes[part])
-                first += len(sines)
+        for number, pulls, modes in pieces:
+            np.matmul(pulls.astype(self.products, copy=False), self.sines[number], out=modes)
 
     def _from_modes(self, pieces: Pieces) -> None:
         """Add the inverse sine transform of some columns of the modes to the same columns of the potentials, in place.
-        Where columns are folded, write it into the folded columns instead: of each column the part of the even sines,
-        then that of the odd ones.
+        Where columns are folded, write it into the folded columns instead.
 
-        pieces : pairs (columns of the potentials, the same columns of the modes), arrays (columns, nz or more).
+        pieces : matrices of sines by number, columns of the potentials, and the same columns of the modes.
         """
-        for columns, modes in pieces:
-            first = 0
-            for sines in self.inverse:
-                part = np.s_[:, first : first + len(sines)]
-                if self.folds:
-                    np.matmul(modes[part], sines, out=columns[part])
-                else:
-                    columns += np.matmul(modes[part], sines)
-                first += len(sines)
+        for number, columns, modes in pieces:
+            if self.folds:
+                np.matmul(modes, self.inverse[number], out=columns)
+            else:
+                columns += np.matmul(modes, self.inverse[number])

@@ -222,3 +222,16 @@ def test_the_bound_that_is_kept_is_what_the_kept_forces_prove():
     best.take(replace(first, force=weaker, proof=None, lower_bound=proven, states_believed=np.array([True, False])))
     np.testing.assert_array_equal(best.bound, [proven[0], max(proven[1], first.lower_bound[1])])
     np.testing.assert_allclose(method.proven_by(best.proof), best.bound, rtol=1e-14)
+
+
+@pytest.mark.parametrize(("power", "ends"), [(-0.03, True), (-0.5, False)])
+def test_a_gap_that_hardly_falls_ends_a_run_soon_after_20_000_iterations(power, ends):
+    """One that falls as 1 / sqrt(iteration), as in the slowest method, never does."""
+    method, iteration, has_ended = OperatorSplitting().build(), 50, False
+    method.begin(scene := make_scene((3, 4)), initial_spin(scene, "linear"))
+    best = _Best(method)
+    while iteration < 1e6 and not has_ended:
+        iteration = method.next_check(iteration)
+        has_ended = best.has_stalled(iteration, iteration**power)
+    assert has_ended == ends
+    assert not ends or 20_000 < iteration < 25_000
