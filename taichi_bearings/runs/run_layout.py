@@ -76,15 +76,14 @@ def _put_vectors(file: h5py.File, name: str, values: np.ndarray, unit: str, text
 
     file : the opened file.
     name, unit, text : name of the data set, and its attributes.
-    values : (..., components), the vectors; the first component is written in any case, as files that claim far more
-        than they hold are refused.
+    values : (..., components), the vectors; if all are 0 one component is written, as files that claim far more than
+        they hold are refused.
     """
     parts = [-(-side // MOST_OF_CHUNK) for side in values.shape[:-1]]
     chunk = *(-(-side // number) for side, number in zip(values.shape, parts, strict=False)), 1
     put(file, name, None, unit, text, shape=values.shape, dtype=values.dtype, chunks=chunk)
-    for component in range(values.shape[-1]):
-        if component == 0 or values[..., component].any():
-            file[name][..., component] = values[..., component]
+    for component in [k for k in range(values.shape[-1]) if values[..., k].any()] or [0]:
+        file[name][..., component] = values[..., component]
 
 
 def _rows(solution: Solution) -> Iterator[Row]:
