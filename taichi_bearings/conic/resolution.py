@@ -107,13 +107,18 @@ TIED_UNKNOWNS = 30_000
 # last step of the path, and if its slip is below TIED_SHARE times the margin. In 32^3 spheres, seed 2, with slips down
 # to 5e-15, this ties no slipping contact from a relative gap of 4e-10 on, and three quarters of the others.
 TIED_MARGIN, TIED_SHARE = 1e-2, 1e-2
-TIED_TRIALS = 3  # most of these trials; from one to the next contacts are untied that cannot bear their force
+# Most of these trials, and the most sets of tied spins over spins in one: with more sets two trials take as long as the
+# path without ties. After trial number k contacts are untied whose force may change by fewer than UNTIED_STEPS ** k
+# steps to balance, in the clusters of spheres where no forces balance.
+TIED_TRIALS, MOST_SETS, UNTIED_STEPS = 8, 0.4, 4.0
 # Newton's method ends when the largest torque over the mean friction is below NEWTON_TORQUE, some 1e4 roundings of a
 # force; after its last step a torque below ROUNDED_TORQUE is accepted.
 NEWTON_TORQUE, ROUNDED_TORQUE = 1e-12, 1e-4
 # change of a slip by a Newton step over the slip, below which the next step may use the same matrix
 KEPT_MATRIX_CHANGE = 1e-4
-NEWTON_TRIALS = 2  # runs of Newton's method; before the second, contacts that have come to rest are tied
+# Runs of Newton's method; before each but the first, contacts that have come to rest are tied. The second number is for
+# large systems with an order of elimination of their own.
+NEWTON_TRIALS, LARGE_NEWTON_TRIALS = 2, 5
 # largest change of a slip by a Newton step over the slip, if the whole step does not reverse the slip, and if it does
 MOST_CHANGE_ALONG, MOST_CHANGE_IF_REVERSED = 0.5, 0.95
 RESTING_SHARE = 1e-2  # share of its first slip below which a contact comes to rest if the next step would reverse it
@@ -346,8 +351,8 @@ def _minimum_along_path(iterate: Iterate, before: Iterate | None, shared: Surrou
     minima                        trial  tied contacts                         path followed until
     ============================  =====  ====================================  ===================================
     one, most likely              1      of large systems, those that seem to  FEW_DOUBTFUL contacts are undecided
-                                         stick at the start; again without
-                                         those that cannot bear their force
+                                         stick at the start; again with fewer
+                                         where no forces balance
     one, most likely              2      none                                  FEW_DOUBTFUL contacts are undecided
     one, most likely              3      none                                  no contact is undecided
     one, most likely              4      those that stick                      no contact is undecided
@@ -410,27 +415,32 @@ def _minimum_with_few_unknowns(
     """Return the minimum at the end of a path on which contacts are tied that clearly stick at its start; None if it is
     not found.
 
-    The path says nothing about forces of the tied contacts, so these are found at its end, by a barrier method. If a
-    tied contact cannot bear its force, it is untied, and the path is followed again: it slips, by so little that the
-    start of the path did not show it.
+    The path says nothing about forces of the tied contacts, so these are found at its end, by a barrier method. Where
+    no forces balance, contacts are tied that slip at the minimum, by so little that the start of the path did not show
+    it. So contacts there are untied, from trial to trial more of them, and the path is followed again. If none of them
+    is tied, it is followed until no contact is undecided.
 
     iterate : the point at which the path was begun.
     path : the point that was reached; not changed.
     sticking : (n,) mask of the contacts to tie.
     shared : what all samples share.
     """
-    for _ in range(TIED_TRIALS):
-        found, later, _ = _smooth_minimum_with_tied(iterate, path, sticking, shared, doubtful=FEW_DOUBTFUL)
+    doubtful = FEW_DOUBTFUL
+    for trial in range(TIED_TRIALS):
+        if shared.system.pieces(sticking)[0] > MOST_SETS * len(iterate.spins):
+            return None
+        found, later, _ = _smooth_minimum_with_tied(iterate, path, sticking, shared, doubtful=doubtful)
         if found is None:
             return None
         start = np.where(found.slipping, found.whole_dual, later)
         of_system = shared.system, shared.order, iterate.friction
-        dual, overloaded = balanced_inside(*of_system, start, found.slipping, found.heads)
+        dual, allowed = balanced_inside(*of_system, start, found.slipping, found.heads)
         if dual is not None:
             return replace(found, dual=np.where(found.slipping, found.dual, dual), borne=True)
-        if not (sticking & overloaded).any():
+        untied = sticking & (allowed < UNTIED_STEPS ** (trial + 1))
+        if not (untied.any() or doubtful):
             return None
-        sticking = sticking & ~overloaded
+        sticking, doubtful = sticking & ~untied, FEW_DOUBTFUL if untied.any() else 0
     return None
 
 
@@ -546,7 +556,7 @@ def _smooth_minima(
 ) -> list[Resolved | None]:
     """Return for each sample the spins, slips and friction at which its power is least if only some contacts may slip
     and the spins across all others are made equal; None where Newton's method does not find them. Contacts that come to
-    rest on the way may then not slip either, and Newton's method is run once more (NEWTON_TRIALS).
+    rest on the way may then not slip either, and Newton's method is run again (NEWTON_TRIALS).
 
     iterates : for each sample a point of the central path, of which the friction limits and viscosities are used.
     spins : for each sample (unknowns,) the spins to begin with, as sums of two doubles.
@@ -559,7 +569,7 @@ def _smooth_minima(
     slipping = [mask for mask in masks if mask is not None]
     numbers = [number for number, mask in enumerate(masks) if mask is not None]
     spins = [spins[number] for number in numbers]
-    for _ in range(NEWTON_TRIALS if numbers else 0):
+    for _ in range((NEWTON_TRIALS if order is None else LARGE_NEWTON_TRIALS) if numbers else 0):
         trial = _SmoothPower([iterates[number] for number in numbers], slipping, shared, order)
         at_rest = trial.descend((np.concatenate([s[0] for s in spins]), np.concatenate([s[1] for s in spins])))
         for number, resolved in zip(numbers, trial.resolved(), strict=True):

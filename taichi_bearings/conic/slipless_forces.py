@@ -38,9 +38,6 @@ MOST_INSIDE_STEPS = 20  # most steps of the search for balanced forces with a ba
 # Share of the whole way of such a step below which a sample is given up: at 10^3 spheres 14 samples in which the search
 # succeeded had no smaller share than 0.39, 6 others came below 0.15.
 LEAST_REACH_INSIDE = 0.2
-# A contact is overloaded if the step of its cluster ends before torques balance, and its own limit allows less than
-# OVERLOADED_FACTOR times that step.
-OVERLOADED_FACTOR = 10.0
 TINY = np.finfo(np.float64).tiny
 
 
@@ -178,15 +175,16 @@ def balanced_inside(
     heads: np.ndarray,
 ) -> tuple[np.ndarray | None, np.ndarray]:
     """Return minus the forces (d, n) of one sample that balance all torques, where those of slipping contacts stay and
-    the others are within friction; None if none are found. Return also a mask (n,) of the overloaded contacts, whose
-    limits are the reason if none are found.
+    the others are within friction; None if none are found. Return also for each contact by how many steps its force
+    could change until it reaches its limit, (n,): that is finite only in clusters in which no forces balance.
 
     In each step fictitious springs at the contacts balance the torques. Their stiffness is the inverse second
     derivative of the barrier -log(friction^2 - |force|^2): along a force close to its limit it is far smaller than
     across it, so that steps go far. The matrix couples spins at slipless contacts only, which takes a thousandth of the
     operations of a Newton step: 0.06 instead of 108 billion at 48^3. It falls apart into clusters of spheres that
     slipless contacts join. In each cluster a step goes as far as the contacts of the cluster allow, so that a cluster
-    in which no forces balance does not stop others; the contacts at which its steps end are the overloaded ones.
+    in which no forces balance does not stop others. The forces of such a cluster stay where they are once its contacts
+    have twice allowed less than a share LEAST_REACH of a step.
 
     system : the n contacts, whose slips are differences of two unknowns.
     order : (unknowns,), order in which the unknowns are eliminated.
@@ -203,24 +201,25 @@ def balanced_inside(
     number = np.cumsum(joined) - 1
     matrix = NewtonMatrix(part, number[order[joined[order]]], engine=Engine.LAUNCH)  # many small fronts
     limit, inside, load, held = friction[own], dual[:, own], -fixed[joined], heads[joined].astype(float)
-    cluster, factors, reach = _clusters(part), np.zeros(len(own)), np.zeros(len(own))
+    cluster, factors, reach = _clusters(part), np.zeros(len(own)), np.ones(len(own))
     for _ in range(MOST_INSIDE_STEPS):
         stiffness = _stiffness_inside(limit, inside)
         matrix.factorise(stiffness, held)
         balanced = matrix.stretched(inside, partial(resisted, stiffness), load)
         factors = _factors(limit, inside, balanced)
-        of_clusters = np.full(len(factors), np.inf)
+        of_clusters, last = np.full(len(factors), np.inf), reach
         np.minimum.at(of_clusters, cluster, factors)
         reach = of_clusters[cluster]
-        inside = _towards(inside, balanced, np.where(reach > 1, 1.0, SHARE_OF_WAY * reach))
-        if ((reach > 1) | (reach < LEAST_REACH)).all():
+        goes_on = (reach <= 1) & (np.maximum(reach, last) > LEAST_REACH)
+        inside = _towards(inside, balanced, np.where(reach > 1, 1.0, np.where(goes_on, SHARE_OF_WAY * reach, 0.0)))
+        if not goes_on.any():
             break
-    found, overloaded = dual.copy(), np.zeros_like(slipping)
+    found, allowed = dual.copy(), np.full(len(friction), np.inf)
     found[:, own] = inside
     if _inside(friction, found, slipping, system.torques(found)[:, None])[0]:
-        return found, overloaded
-    overloaded[own] = (reach <= 1) & (factors < OVERLOADED_FACTOR * reach)
-    return None, overloaded
+        return found, allowed
+    allowed[own] = np.where(reach <= 1, factors, np.inf)
+    return None, allowed
 
 
 def _of_contacts(system: ContactSystem, own: np.ndarray) -> tuple[ContactSystem, np.ndarray]:

@@ -71,11 +71,11 @@ def test_a_contact_at_its_limit_bears_its_friction_and_no_more(beyond):
 
 def inside(system, friction, dual, slipping):
     """The forces of :func:`balanced_inside` of one sample with one component, None if there are none; and which
-    contacts are overloaded."""
+    contacts do not allow a whole step in a cluster in which no forces balance."""
     heads, order = np.zeros(system.unknowns, dtype=bool), np.arange(system.unknowns)[::-1]
     given = np.array(friction), np.array([dual]), np.array(slipping)
-    found, overloaded = balanced_inside(system, order, *given, heads)
-    return found if found is None else found[0], np.flatnonzero(overloaded).tolist()
+    found, allowed = balanced_inside(system, order, *given, heads)
+    return found if found is None else found[0], np.flatnonzero(allowed < 1).tolist()
 
 
 def side_by_side():
@@ -174,11 +174,11 @@ def test_states_are_proven_before_the_last_steps_of_the_path(monkeypatch):
     assert not late
 
 
-@pytest.mark.parametrize("wrong", [0, 1, 3])
+@pytest.mark.parametrize("wrong", [0, 1, 3, 60])
 def test_states_are_the_same_if_contacts_are_tied_before_the_last_decades(monkeypatch, wrong):
-    """Also if some of them slip: then these are overloaded, and the path is followed anew without tying them."""
+    """Also if some of them slip: then no forces balance near these, and the path is followed again with fewer tied."""
     scene, followed = make_scene((12, 12, 12), seeds=(29,)), []
-    # from points with forces this path ends where no contact that clearly sticks is overloaded
+    # from points with forces this path ends where all contacts that clearly stick can bear their forces
     monkeypatch.setattr(lattice_paths, "NEAR_PATH_UNKNOWNS", 3_000)
     tied, own = resolution._clearly_stick, LastDecades.decide
     one = minimum_of(scene)
@@ -211,15 +211,15 @@ def test_where_contacts_that_are_tied_stay_overloaded_the_path_is_followed_with_
         followed.append(len(path.point.friction))
         return own(path, *given)
 
-    def overloaded(system, order, friction, dual, slipping, heads):
-        return None, np.zeros_like(slipping)
+    def unknown(system, order, friction, dual, slipping, heads):
+        return None, np.full(len(friction), np.inf)
 
     monkeypatch.setattr(resolution, "TIED_UNKNOWNS", 0)
-    monkeypatch.setattr(resolution, "balanced_inside", overloaded)
+    monkeypatch.setattr(resolution, "balanced_inside", unknown)
     monkeypatch.setattr(LastDecades, "decide", decide)
     other = minimum_of(scene)
     assert (one.state == other.state).all()
-    assert followed[0] < 0.8 * len(scene.coefficient[0]) < followed[1]
+    assert max(followed[:2]) < 0.8 * len(scene.coefficient[0]) < followed[2]
 
 
 def test_samples_whose_forces_only_a_barrier_finds_are_settled_at_the_first_trial(monkeypatch):
