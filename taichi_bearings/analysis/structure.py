@@ -25,6 +25,7 @@ from taichi_bearings.analysis.bottlenecks import Bottlenecks
 from taichi_bearings.analysis.domains import RigidDomains, domains_of_packing, rigid_domains
 from taichi_bearings.analysis.slipless_network import MOST_BODIES, SliplessNetwork
 from taichi_bearings.analysis.topology import self_stress_of
+from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.plain_files import Json
 from taichi_bearings.proof.contact_state import ContactState, by_threshold
 from taichi_bearings.quantities import STRUCTURE, Quantity, plain
@@ -323,7 +324,8 @@ class Structure:
         with stage("counting contact forces that balance without a load"):
             chosen, axes = np.flatnonzero(self.slipless), self.rigid_domains.spin_axes
             if self.whole.lattice is not None:
-                return int(self_stress(self.network, axes).sum())
+                jump = self.scene.staggered_spin(self.spin[None], axes)[:, 0, ..., -1]
+                return int(self_stress(self.network, axes, jump).sum())
             every = tuple(range(self.whole.components))
             return self_stress_of(self.whole, chosen, axes if self.whole.along_axes(chosen) else every)
 
@@ -355,21 +357,25 @@ def structure_of(answer: Solution, number: int = 0, threshold: float | None = No
     return Structure(one, one.spin[0], *of_contacts, power, lower_bound, threshold)
 
 
-def self_stress(network: SliplessNetwork, spin_axes: tuple[int, ...]) -> np.ndarray:
+def self_stress(network: SliplessNetwork, spin_axes: tuple[int, ...], jump: np.ndarray | None = None) -> np.ndarray:
     """Return the number (C,) of states of self-stress of a lattice in each of C spin components: independent forces on
     slipless contacts that balance by themselves.
 
     network : the slipless contacts.
     spin_axes : numbers of the C components.
+    jump : (C, nx, ny), in 2D (C, nx), imposed spin of the top less that of the bottom, 1/time; None if it is nowhere 0.
 
     Such a state is a loop of slipless contacts around which torque can circulate; contacts along the axis of a
     component carry none of its torque. In each connected piece one force is unknown for each slipless contact, and all
-    nodes but one give an equation of balance. Therefore the number is contacts - (nodes - pieces).
+    nodes but one give an equation of balance. Therefore the number is contacts - (nodes - pieces). Spheres of the top
+    without a jump count as the bottom: torque that passes between the two does no work.
     """
     states = []
-    for component in spin_axes:
-        carries = network.axis != component
-        nodes = np.unique(network.body[network.ends[:, carries]])
-        pieces = np.unique(network.pieces(carries)[nodes])
-        states.append(int(carries.sum()) - (len(nodes) - len(pieces)))
+    for slot, component in enumerate(spin_axes):
+        body = network.body.reshape(network.shape).copy()
+        if jump is not None:
+            body[..., -1][jump[slot] == 0] = body.flat[0]
+        ends = body.ravel()[network.ends[:, network.axis != component]]
+        nodes = np.unique(ends)
+        states.append(ends.shape[1] - (len(nodes) - len(np.unique(pieces(network.bodies, *ends)[nodes]))))
     return np.array(states)

@@ -215,6 +215,21 @@ def test_a_driven_plane_is_one_body():
     assert self_stress(network_of(lattice, states(lattice, SLIPLESS)[0]), (2,)) == [2]  # 5 contacts of 4 bodies
 
 
+def test_where_top_and_bottom_turn_alike_torque_between_them_is_a_self_stress(needs_f64):
+    """At rest in the first layer of each component: the forces of the slipless contacts there are not unique."""
+    scene = Scene.random((3, 3, 4), seed=4, top=(0.0, 0.0, 0.0, 0.3))
+    structure = structure_of(answer(scene, "interior-point", 1e-12))
+    lattice, axes, jump = scene.lattice, scene.minimum_spin_axes, scene.top_spin(scene.minimum_spin_axes)
+    rows = []
+    for slot, contact in np.argwhere(lattice.tangential_mask(axes) & structure.slipless):
+        force = np.zeros((len(axes), 1, lattice.all_contacts))
+        force[slot, 0, contact] = 1.0
+        pull = torques(force, lattice, axes)[:, 0]
+        rows.append(np.append(pull[..., 1:-1].ravel(), (pull[..., -1] * jump).sum()))  # torques, and work of the top
+    assert structure.states_proven
+    assert structure.self_stress == len(rows) - np.linalg.matrix_rank(np.array(rows)) == 9
+
+
 @pytest.mark.parametrize(("shape", "axes"), [((4, 5), (2,)), ((3, 4, 4), (0, 1)), ((3, 2, 4), (0, 1, 2))])
 def test_self_stress_is_the_null_space_of_balance_with_given_totals(shape, axes):
     lattice, generator = Lattice(shape), np.random.default_rng(31)

@@ -708,8 +708,10 @@ def over(number, unit):
 def self_stress(lab):
     if lab.is_lattice:  # loops of slipless contacts around which a component can circulate
         total = 0
-        for k in lab.components:
-            graph = lab.joined([e for e in lab.slipless if lab.axis[e] != k], lab.node)
+        for k in lab.components:  # top spheres without a jump turn as the bottom does
+            alike = (lab.driven >= 0) & (lab.jump_of_sites[:, k] == 0)
+            node = [lab.held[0] if same else own for same, own in zip(alike, lab.node, strict=True)]
+            graph = lab.joined([e for e in lab.slipless if lab.axis[e] != k], node)
             total += graph.number_of_edges() - graph.number_of_nodes() + nx.number_connected_components(graph)
         return total
     return UNKNOWN
