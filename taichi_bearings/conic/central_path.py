@@ -37,8 +37,8 @@ STEP_SHARE = 0.95  # share of the way to the boundary of the cones that a step g
 TINY = np.finfo(np.float64).tiny
 # LEAST_WORK / slip^2 is a weak stiffness along the slip, where friction has none; it keeps matrices regular
 LEAST_WORK = 1e-14
-# most refinements of the last solve; torque over the mean friction that needs none
-STEP_REFINEMENTS, STEP_TORQUE = 4, 1e-11
+# most refinements of the last solve; torque over the mean friction that needs none, and such a torque for rough steps
+STEP_REFINEMENTS, STEP_TORQUE, ROUGH_STEP_TORQUE = 4, 1e-11, 1e-10
 PRODUCT_SPREAD = 10.0  # correctors bring products into [target / PRODUCT_SPREAD, target * PRODUCT_SPREAD]
 Viscous = np.ndarray | None
 
@@ -219,12 +219,15 @@ class Path:
     used : (S,) mask of the places that hold a sample.
     """
 
-    def __init__(self, matrix: NewtonMatrix, samples: int = 1) -> None:
+    def __init__(self, matrix: NewtonMatrix, samples: int = 1, rough: bool = False) -> None:
         """Reserve places for samples of the system of contacts of a Newton matrix; all places are empty.
 
         samples : number of places, 1 or LANES, the number of lanes of a SIMD vector.
+        rough : True to let steps leave torques up to ROUGH_STEP_TORQUE, which saves one solve in eight; in samples
+            with friction alone that is not decades apart.
         """
         self.samples, self._matrix, self._rows = samples, matrix, matrix.rows(samples)
+        self._rough, self._enough = rough, np.full(samples, STEP_TORQUE)  # (S,), torques that need no refinement
         # by place: the sample without its spins, slips and forces, which are in memory; None for a free place
         self._given: list[Iterate | None] = [None] * samples
         self._spins = self._spins_before = np.zeros_like(self._rows.spins)  # (unknowns or more, S), now and a step ago
@@ -269,6 +272,8 @@ class Path:
         self._moving = iterate.inertia is not None
         # forces balance torques that depend on the spins, so both have to change by the same length of the step
         self._together = iterate.inertia is not None or iterate.viscosity is not None
+        is_rough = self._rough and not self._together and are_even(iterate.friction)
+        self._enough[sample] = ROUGH_STEP_TORQUE if is_rough else STEP_TORQUE
         if iterate.viscosity is not None:
             stiffness = stacked(isotropic(iterate.difference, iterate.viscosity))
             if self._viscosity is None or self._viscous is None:
@@ -397,8 +402,8 @@ class Path:
 
     def _refined(self, step: _Step) -> _Step:
         """Return the step of all samples after iterative refinement: the linear system is solved again for the torques
-        that rounding leaves, at most STEP_REFINEMENTS times, as long as these are above STEP_TORQUE (in units of the
-        mean friction) and were halved.
+        that rounding leaves, at most STEP_REFINEMENTS times, as long as these were halved and are above STEP_TORQUE, in
+        rough steps ROUGH_STEP_TORQUE, in units of the mean friction.
 
         step : the step before.
         """
@@ -410,7 +415,7 @@ class Path:
                 rows.two_components(kernels.FORCE)[:] -= self._viscosity * slip
             self._imbalance(kernels.FORCE, self._spins + step.spins)
             size = np.abs(rows.spins.T.copy()).max(axis=1, initial=0.0)
-            going &= (size > STEP_TORQUE) & (size < last / 2)
+            going &= (size > self._enough) & (size < last / 2)
             if not going.any():
                 break
             last = size

@@ -109,7 +109,7 @@ class Descent:
         if not (at_end or waiting):
             return
         together = LANES if self.small and len(waiting) + len(at_end) > 1 else 1
-        path, going = Path(self.shared.matrix, together), dict[int, tuple[Sample, int]]()
+        path, going = Path(self.shared.matrix, together, self.small), dict[int, tuple[Sample, int]]()
         with one_thread():  # fronts are shared among threads here, not inside the library
             try:
                 while waiting or going or at_end:
@@ -124,7 +124,7 @@ class Descent:
                         for place, (sample, _) in going.items():
                             self._leave(path, place, sample)
                         waiting += going.values()
-                        path, going = Path(self.shared.matrix, places), {}
+                        path, going = Path(self.shared.matrix, places, self.small), {}
                     for place in [place for place in range(places) if place not in going][: len(waiting)]:
                         going[place] = waiting.popleft()
                         path.put(place, going[place][0].iterate)
