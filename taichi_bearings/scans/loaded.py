@@ -7,7 +7,7 @@ import importlib
 from taichi_bearings.later import postpone
 
 MODULES = (
-    "taichi_bearings.scans.sample", "taichi_bearings.solvers.interior_point", "taichi_bearings.solvers.lattice_paths",
+    "taichi_bearings.scans.sample", "taichi_bearings.solvers.minimisers", "taichi_bearings.solvers.lattice_paths",
     "taichi_bearings.solvers.on_strides", "taichi_bearings.solvers.answer", "taichi_bearings.proof.states",
     "scipy.linalg.lapack",
 )  # fmt: skip

@@ -24,8 +24,7 @@ from taichi_bearings.fields import Fields
 from taichi_bearings.fields.lists import AnySpec
 from taichi_bearings.proof.certificate import Forces
 from taichi_bearings.scene import Bearing, Progress, Solution, Status
-from taichi_bearings.solvers.found import Found
-from taichi_bearings.solvers.part import Part
+from taichi_bearings.solvers.part import Found, Part
 from taichi_bearings.solvers.stopping import StopRule
 
 if TYPE_CHECKING:
@@ -140,28 +139,21 @@ class WithMinima(Contacts):
     """
 
     @abstractmethod
-    def paths(self, spin: np.ndarray, settle: bool, tolerance: float) -> Part:
+    def paths(self, settle: bool, tolerance: float) -> Part:
         """Return the solver of the interior-point method: the central paths of all samples, curves of spins and forces
         along which Newton steps lead to the minimum.
 
-        spin : (R samples, *N spheres, 3), of discs (R, *N), laboratory spins to start from, 1/time.
         settle : True to go on along the paths until contact states are settled.
         tolerance : relative gap that will do if `settle` is False.
         """
 
     @abstractmethod
-    def cuts(self, spin: np.ndarray) -> Part:
-        """Return the solver that finds the minimum cuts of all samples, for the planar cut.
-
-        spin : (R samples, *N spheres, 3), of discs (R, *N), laboratory spins to start from, 1/time.
-        """
+    def cuts(self) -> Part:
+        """Return the solver that finds the minimum cuts of all samples, for the planar cut."""
 
     @abstractmethod
-    def linear_systems(self, spin: np.ndarray) -> Part:
-        """Return the solver that finds the spins of all samples at which viscous forces balance.
-
-        spin : (R samples, *N spheres, 3), of discs (R, *N), laboratory spins to start from, 1/time.
-        """
+    def linear_systems(self) -> Part:
+        """Return the solver that finds the spins of all samples at which viscous forces balance."""
 
 
 class Stepped(Contacts):

@@ -51,17 +51,15 @@ class GridBundles(Part):
     bundles : for each bundle the place of its spin component among those computed, and its planes.
     """
 
-    def __init__(self, contacts: "OnStrides", spin: np.ndarray) -> None:
+    def __init__(self, contacts: "OnStrides") -> None:
         """Prepare to solve: divide the planes (layers of each sample) of each spin component into bundles that are
         solved together.
 
-        contacts : the contacts of the lattice.
-        spin : (R samples, *N spheres, 3), in 2D (R, *N), spins, 1/time, from which those of the driven planes are
-            taken.
+        contacts : the contacts of the lattice, with the spins to start from.
         """
         self.contacts, self.scene, self.spin_axes = contacts, contacts.scene, contacts.spin_axes
         scene = self.scene
-        self.spin = scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes)
+        self.spin = scene.clip_to_box(scene.staggered_spin(contacts.start, self.spin_axes), self.spin_axes)
         self.rest = np.zeros_like(self.spin)
         self.bundles = [(slot, planes) for slot in range(len(self.spin_axes)) for planes in self._planes(slot)]
         self.iteration = 0

@@ -16,9 +16,8 @@ from taichi_bearings.fields import Fields
 from taichi_bearings.proof.certificate import Forces
 from taichi_bearings.scene import Bearing, Progress, Scene
 from taichi_bearings.scene.scene import vector_length
-from taichi_bearings.solvers.contacts import Contacts, Launch, Stepped, WithMinima
-from taichi_bearings.solvers.found import Found
-from taichi_bearings.solvers.part import Part
+from taichi_bearings.solvers.contacts import Contacts, Launch, Stepped
+from taichi_bearings.solvers.part import Found
 
 if TYPE_CHECKING:
     from taichi_bearings.kernels.team import Sweeps, Team
@@ -165,67 +164,6 @@ class Method(ABC):
         """
         assert isinstance(self.contacts, Stepped), "methods that find minima of packings judge them by their part"
         return self.contacts.judged(staggered, force, proof, **more)
-
-
-class Minimiser(Method):
-    """A method that finds minima directly. Its iterations are made by a solver (`Part`), of which there is one for
-    lattices and one for packings.
-
-    start : (R samples, *N spheres, 3), of discs (R, *N), spins at the start, 1/time.
-    part : the solver.
-    """
-
-    contacts: WithMinima
-    start: np.ndarray
-    part: Part
-
-    def begin(self, scene: Bearing, spin: np.ndarray) -> None:
-        """Prepare to solve a scene: choose the solver (`part`) that fits its contacts.
-
-        spin : (R samples, *N spheres, 3), of discs (R, *N), laboratory spins to start from, 1/time; not used for
-            packings.
-        """
-        super().begin(scene, spin)
-        self.start = spin
-        self.part = self.part_of()
-
-    @abstractmethod
-    def part_of(self) -> Part:
-        """Return the solver of this method that fits the contacts of the scene: that for lattices or that for
-        packings.
-        """
-
-    @property
-    def iteration(self) -> int:  # type: ignore[override]
-        """Number of iterations so far."""
-        return self.part.iteration
-
-    def next_check(self, iteration: int) -> int:
-        """Return the iteration at which to read the progress next.
-
-        iteration : the one at which it was read now.
-        """
-        return self.part.next_check(iteration)
-
-    def advance(self, steps: int) -> None:
-        """Make `steps` iterations, by the part for lattices or that for packings."""
-        self.part.advance(steps)
-
-    def progress(self) -> Progress:
-        """Return the state now, with its bounds."""
-        return self.part.progress()
-
-    def found(self) -> list[Found]:
-        """Return the spins and forces that each sample of a packing has reached."""
-        return self.part.found()
-
-    def state(self) -> dict[str, np.ndarray]:
-        """Return by name all arrays that the further iterations depend on, for a checkpoint."""
-        return self.part.state()
-
-    def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        """Continue from the arrays by name that `state` returned in an earlier call."""
-        self.part.restore(state)
 
 
 class Swept(Method):

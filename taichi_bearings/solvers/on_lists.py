@@ -25,9 +25,9 @@ from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, UNDECIDED
 from taichi_bearings.solvers.answer import answered
 from taichi_bearings.solvers.contacts import Ended, Inertia, Launch, Stepped
-from taichi_bearings.solvers.found import Found
 from taichi_bearings.solvers.packing_bounds import PackingBounds
 from taichi_bearings.solvers.packing_states import PackingReached
+from taichi_bearings.solvers.part import Found
 
 if TYPE_CHECKING:
     from taichi_bearings.solvers.table import Motion

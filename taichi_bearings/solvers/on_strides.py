@@ -45,6 +45,7 @@ class OnStrides(Stepped, WithMinima):
     arrays on the device neighbours are a constant stride apart.
 
     scene : the lattice, with its R samples.
+    start : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins to start from, 1/time.
     spec : names of the fields, with the numbers that each sphere has in them.
     spin_axes : numbers of the axes of the C spin components that are computed.
     points : names of the fields that hold the spins of a gradient descent.
@@ -64,40 +65,35 @@ class OnStrides(Stepped, WithMinima):
         spin : (R samples, *N spheres, 3), in 2D (R, *N), spins to start from, 1/time.
         moves : True for a dynamics, which needs all components that are not at rest at the start; False for a minimum.
         """
-        self.scene = scene
+        self.scene, self.start = scene, spin
         self.spin_axes = _moving_axes(scene, spin) if moves else scene.minimum_spin_axes
 
-    def paths(self, spin: np.ndarray, settle: bool, tolerance: float) -> Part:
+    def paths(self, settle: bool, tolerance: float) -> Part:
         """Return the solver of the interior-point method: the central paths of all samples, curves of spins and forces
         along which Newton steps lead to the minimum.
 
-        spin : (R samples, *N spheres, 3), in 2D (R, *N), spins to start from, 1/time.
         settle : True to go on along the paths until it is known which contacts slip.
         tolerance : not used; the paths of lattices prove their gap after each step.
         """
         from taichi_bearings.solvers.lattice_paths import LatticePaths
 
-        return LatticePaths(self.scene, self.spin_axes, spin, settle)
+        return LatticePaths(self.scene, self.spin_axes, self.start, settle)
 
-    def cuts(self, spin: np.ndarray) -> Part:
+    def cuts(self) -> Part:
         """Return the solver that finds the minimum cuts of all planes of the lattice, the layers whose contacts couple
         the one spin component that is computed.
-
-        spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins, 1/time, which stay until the cut is made.
         """
         from taichi_bearings.solvers.grid_cuts import GridCuts
 
-        return GridCuts(self.scene, self.spin_axes, spin)
+        return GridCuts(self.scene, self.spin_axes, self.start)
 
-    def linear_systems(self, spin: np.ndarray) -> Part:
+    def linear_systems(self) -> Part:
         """Return the solver that balances the viscous forces in all planes of the lattice, the layers whose contacts
         couple one spin component.
-
-        spin : (R samples, *N spheres, 3), in 2D (R, *N), laboratory spins to start from, 1/time.
         """
         from taichi_bearings.solvers.grid_bundles import GridBundles
 
-        return GridBundles(self, spin)
+        return GridBundles(self)
 
     @property
     def stores_predicted(self) -> bool:

@@ -22,10 +22,9 @@ from taichi_bearings.scene.packing import Packing
 from taichi_bearings.solvers import nested_cuts
 from taichi_bearings.solvers.answer import answered
 from taichi_bearings.solvers.contacts import Ended, WithMinima
-from taichi_bearings.solvers.found import Found
 from taichi_bearings.solvers.packing_paths import MOST_STEPS, PackingPaths, viscous_spins
 from taichi_bearings.solvers.packing_states import PackingReached
-from taichi_bearings.solvers.part import Part
+from taichi_bearings.solvers.part import Found, Part
 from taichi_bearings.solvers.stopping import ended_as
 
 ENOUGH_FRICTION = 1e3  # friction, in units of power over fastest imposed surface speed, of contacts that hardly slip
@@ -68,22 +67,19 @@ class OnSystem(WithMinima):
         """
         return Found(np.zeros(self.system.unknowns), np.zeros_like(self.system.offset), method, steps=steps)
 
-    def paths(self, spin: np.ndarray, settle: bool, tolerance: float) -> Part:
+    def paths(self, settle: bool, tolerance: float) -> Part:
         """Return the solver of the interior-point method: the central paths of all samples. A central path is a curve
         of spins and forces along which Newton steps lead to the minimum.
 
-        spin : not used; it is for lattices.
         settle : True to follow the paths until it is known which contacts slip.
         tolerance : relative gap, at a tenth of which the paths end if `settle` is False.
         """
         with one_thread():
             return PackingPaths(self, ends_at=LEAST_GAP if settle else max(tolerance / 10, LEAST_GAP))
 
-    def cuts(self, spin: np.ndarray) -> Part:
+    def cuts(self) -> Part:
         """Return the solver of the planar cut: it finds the spins of least power of each sample, one after the other,
         by minimum cuts of the graph of its contacts (nested_cuts.py).
-
-        spin : not used; it is for lattices.
         """
 
         def cut(number: int) -> Found:
@@ -98,11 +94,9 @@ class OnSystem(WithMinima):
 
         return OneByOne(self, cut, "planar-cut")
 
-    def linear_systems(self, spin: np.ndarray) -> Part:
+    def linear_systems(self) -> Part:
         """Return the solver of the linear method: it finds the spins at which viscous forces balance, of one sample
         after the other.
-
-        spin : not used; it is for lattices.
         """
         return OneByOne(self, self.flowing, "linear-solver")
 

@@ -14,8 +14,8 @@ from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import exactly
 from taichi_bearings.proof.judgement import Judgement
 from taichi_bearings.scene.packing import Packing
-from taichi_bearings.solvers.found import Found
 from taichi_bearings.solvers.packing_states import forces_of, judgement_of
+from taichi_bearings.solvers.part import Found
 
 
 class PackingBounds:

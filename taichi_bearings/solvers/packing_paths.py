@@ -28,7 +28,7 @@ from taichi_bearings.conic.shared import KEPT_UNKNOWNS, is_small, surroundings_o
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.scene import Progress
-from taichi_bearings.solvers.found import Found
+from taichi_bearings.solvers.part import Found
 from taichi_bearings.solvers.paths import Paths
 from taichi_bearings.stages import stage
 

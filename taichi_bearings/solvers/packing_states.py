@@ -23,7 +23,7 @@ from taichi_bearings.scene import Solution
 from taichi_bearings.scene.packing import Packing
 from taichi_bearings.scene.solution import DRIVEN, SLIPLESS, SLIPPING, UNDECIDED
 from taichi_bearings.solvers.answer import Indicated, Reached
-from taichi_bearings.solvers.found import Found
+from taichi_bearings.solvers.part import Found
 
 # at exact minima: relative friction margin above which a contact is surely slipless; slip, in units of the fastest
 # imposed surface, above which it surely slips

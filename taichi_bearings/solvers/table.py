@@ -253,7 +253,7 @@ class PlanarCut(MethodOptions):
     """
 
     name = "planar-cut"
-    implementation = "taichi_bearings.solvers.planar_cut:PlanarCutMethod"
+    implementation = "taichi_bearings.solvers.minimisers:PlanarCutMethod"
     minimises_packings = True
     needs_taichi = False
     alike_in_a_block = inf
@@ -303,7 +303,7 @@ class InteriorPoint(MethodOptions):
 
     name = "interior-point"
     keeps_checkpoints = True
-    implementation = "taichi_bearings.solvers.interior_point:InteriorPointMethod"
+    implementation = "taichi_bearings.solvers.minimisers:InteriorPointMethod"
     minimises_packings = True
     cpu_only = True
     alike_in_a_block = 5_000
@@ -425,7 +425,7 @@ class LinearSolver(MethodOptions):
     """
 
     name = "linear-solver"
-    implementation = "taichi_bearings.solvers.linear_solver:LinearSolverMethod"
+    implementation = "taichi_bearings.solvers.minimisers:LinearSolverMethod"
     minimises_packings = True
     needs_taichi = False
     merit = "fastest, and exact but for rounding"
