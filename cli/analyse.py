@@ -8,6 +8,8 @@ from taichi_bearings_cli.options import answer, json_option, out_options, run_ar
 from taichi_bearings_cli.progress import Display, in_lines
 from taichi_bearings_cli.report import columns_of, solved
 
+from taichi_bearings.plain_files import Json
+
 REPORTED = ("power", "slipless", "slipping", "tied", "undecided", "minimum_is_unique")
 """Columns with which the report begins."""
 
@@ -56,7 +58,7 @@ def command(run: Path, as_json: bool, **asked: Any) -> None:
     answer(report, as_json, lambda: in_lines(describe(report, display.times())))
 
 
-def describe(report: dict[str, Any], times: str) -> str:
+def describe(report: Json, times: str) -> str:
     """Return the structure of a run in words, section by section.
 
     report : the object of `--json`.

@@ -8,6 +8,8 @@ import click
 from taichi_bearings_cli.options import FILE_PATH, answer, json_option
 from taichi_bearings_cli.progress import in_lines
 
+from taichi_bearings.plain_files import Json
+
 LABELS = {
     "device_names": "GPUs",
     "default_arch": "device by default",
@@ -63,7 +65,7 @@ def command(packing: Path | None, quantities: bool, as_json: bool) -> None:
     if packing is None:
         gpus = {arch: found for arch in runtime.GPUS if (found := runtime.usable(arch, "f32"))}
         names = {gpu: [f"{d.name}{' (software)' * d.is_software}" for d in found] for gpu, found in gpus.items()}
-        report: dict[str, Any] = {
+        report: Json = {
             "version": __version__,
             **versions(),
             "devices": ["cpu", *gpus],

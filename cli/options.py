@@ -11,6 +11,7 @@ from click.shell_completion import CompletionItem
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.options import FILE, TRUTH, OneOf, Option, options_of
+from taichi_bearings.plain_files import Json
 from taichi_bearings.runs.settings import ALSO_CALLED, settings_table, users_of
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.solvers.table import METHODS
@@ -214,7 +215,7 @@ def _shown(default: object) -> str:
     return "" if default is None else ",".join(map(str, default)) if isinstance(default, tuple) else str(default)
 
 
-def answer(report: Mapping[str, Any], as_json: bool, words: Callable[[], str]) -> None:
+def answer(report: Json, as_json: bool, words: Callable[[], str]) -> None:
     """Print what a command has found: one JSON object, or a text.
 
     report : what was found, by name.
@@ -224,7 +225,7 @@ def answer(report: Mapping[str, Any], as_json: bool, words: Callable[[], str]) -
     click.echo(json.dumps(report, allow_nan=False) if as_json else words() + replica_shown(report))
 
 
-def replica_shown(report: Mapping[str, Any]) -> str:
+def replica_shown(report: Json) -> str:
     """Return the end of a sentence that says which of several replicas a report is about; "" if there is only one."""
     if "replicas" not in report or not isinstance(report.get("replica"), int):
         return ""

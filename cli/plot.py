@@ -1,7 +1,7 @@
 """The command `bearings plot`."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from taichi_bearings_cli.options import (
@@ -14,6 +14,9 @@ from taichi_bearings_cli.options import (
     title_option,
     width_option,
 )
+
+if TYPE_CHECKING:
+    from taichi_bearings.plots.page import Page
 
 STRUCTURE_KINDS = ("domains", "network")
 PLOT_KINDS = ("spins", "power", "coefficients", "history", "energy", *STRUCTURE_KINDS, "scan")
@@ -136,7 +139,9 @@ def command(kind: str, run: Path, replica: int, time: float | None, out: Path | 
         _plot_run(kind, run, replica, time, out, force, page)
 
 
-def _plot_run(kind: str, run: Path, replica: int, time: float | None, out: Path | None, force: bool, page: Any) -> None:
+def _plot_run(
+    kind: str, run: Path, replica: int, time: float | None, out: Path | None, force: bool, page: "Page"
+) -> None:
     """Draw a figure of a run, write it, and print its path.
 
     kind : one of PLOT_KINDS but "scan".

@@ -9,12 +9,15 @@ import textwrap
 import time
 from contextlib import suppress
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from taichi_bearings_cli import STARTED
 
 from taichi_bearings import progress
 from taichi_bearings.progress import TerminalLine, duration
+
+if TYPE_CHECKING:
+    from taichi_bearings.scans.scan import ScanProgress
 
 COLUMN_GAP = re.compile(r"(?<=\S) {2,}(?=\S)")
 Display = partial(progress.Display, STARTED)  # its times begin with the process
@@ -57,13 +60,13 @@ class ScanDisplay(TerminalLine):
 
     def __init__(self) -> None:
         """Begin to show; until the first call of the display the line says "reading"."""
-        self.progress: Any = None
+        self.progress: ScanProgress | None = None
         super().__init__(lambda: "reading" if self.progress is None else describe_scan(self.progress, samples=True))
         self.is_logged, self.last_line = False, time.monotonic()
         with suppress(OSError, ValueError, AttributeError):  # the log of a batch queue is a regular file
             self.is_logged = stat.S_ISREG(os.fstat(sys.stderr.fileno()).st_mode)
 
-    def __call__(self, progress: Any) -> None:
+    def __call__(self, progress: "ScanProgress") -> None:
         """Take note of how far the scan is now, and write a line if the log is due for one.
 
         progress : a `ScanProgress`: numbers of samples, rate, time left.
@@ -75,7 +78,7 @@ class ScanDisplay(TerminalLine):
             print(f"{stamp}  {describe_scan(progress)}", file=sys.stderr, flush=True)
 
 
-def describe_scan(progress: Any, samples: bool = False) -> str:
+def describe_scan(progress: "ScanProgress", samples: bool = False) -> str:
     """Return how far a scan is, in one line.
 
     progress : a :class:`taichi_bearings.scans.scan.ScanProgress`: numbers of samples, rate, time left, and what is

@@ -3,9 +3,10 @@
 A report is the object of `--json`. With several samples, most of its values are lists with one entry for each sample.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from typing import Any
 
+from taichi_bearings.plain_files import Json
 from taichi_bearings.quantities import Quantity
 from taichi_bearings.words import driving_words, listed, sized
 
@@ -13,7 +14,7 @@ WIDEST_VALUE = 30
 """Most letters of the column of values; a longer value moves the words after it to the right."""
 
 
-def solved(report: Mapping[str, Any]) -> str:
+def solved(report: Json) -> str:
     """Return in words what was solved by which method, such as ``10x10 coulomb, planar-cut``.
 
     report : report of a run.
@@ -21,12 +22,12 @@ def solved(report: Mapping[str, Any]) -> str:
     return f"{sized(report)} {report['law']}, {report['method']}{driving_words(report)}"
 
 
-def ends(report: Mapping[str, Any]) -> str:
+def ends(report: Json) -> str:
     """Return the statuses with which the samples of a report ended, each once, separated by commas."""
     return ", ".join(sorted(set(listed(report["status"]))))
 
 
-def lines_of(rows: Iterable[Quantity], report: Mapping[str, Any]) -> list[str]:
+def lines_of(rows: Iterable[Quantity], report: Json) -> list[str]:
     """Return a line of text for each of some quantities that a report has: what it is, and its value. For several
     samples a line has mean, least and largest value, or how many samples something is true of.
 
@@ -36,7 +37,7 @@ def lines_of(rows: Iterable[Quantity], report: Mapping[str, Any]) -> list[str]:
     return [f"{row.text}: {value}{_unit(row)}" for row, value in _values_of(rows, report)]
 
 
-def columns_of(rows: Iterable[Quantity], report: Mapping[str, Any]) -> list[str]:
+def columns_of(rows: Iterable[Quantity], report: Json) -> list[str]:
     """Return the lines of :func:`lines_of` in three columns: name in `--json`, value, and what the quantity is, with
     its unit. The lines of a table follow its name.
 
@@ -60,7 +61,7 @@ def _unit(row: Quantity) -> str:
     return "" if row.unit in ("1", "contacts") else f" [{row.unit}]"
 
 
-def _values_of(rows: Iterable[Quantity], report: Mapping[str, Any]) -> Iterator[tuple[Quantity, str]]:
+def _values_of(rows: Iterable[Quantity], report: Json) -> Iterator[tuple[Quantity, str]]:
     """Yield the quantities that have a value in a report, each with its value as a text; tables are left out.
 
     rows : quantities.
@@ -71,7 +72,7 @@ def _values_of(rows: Iterable[Quantity], report: Mapping[str, Any]) -> Iterator[
     return ((row, value) for row, value in found if value)
 
 
-def _is_of_several(report: Mapping[str, Any]) -> bool:
+def _is_of_several(report: Json) -> bool:
     """Return True if a report is on several samples, so that most of its values are lists with one entry for each.
 
     report : object of `--json`.
@@ -112,7 +113,7 @@ def _is_table(value: Any) -> bool:
     return isinstance(value, list) and bool(value) and isinstance(value[0], dict)
 
 
-def _table(value: list[dict[str, Any]]) -> list[str]:
+def _table(value: list[Json]) -> list[str]:
     """Return the lines of a table, the first with the names of its columns.
 
     value : a dictionary for each line.

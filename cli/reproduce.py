@@ -1,11 +1,12 @@
 """The command `bearings reproduce`."""
 
 from pathlib import Path
-from typing import Any
 
 import click
 from taichi_bearings_cli.options import answer, json_option, out_options, title_option
 from taichi_bearings_cli.progress import Display
+
+from taichi_bearings.plain_files import Json
 
 
 @click.command()
@@ -87,7 +88,7 @@ def command(
     context.exit(130 if report["interrupted"] else 1 if report["refuted"] else 0)
 
 
-def describe(report: dict[str, Any], times: str) -> str:
+def describe(report: Json, times: str) -> str:
     """Return all claims with their verdicts, and the files written, in words.
 
     report : the object of `--json`.

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from taichi_bearings_cli.options import FILES, SettingsCommand, answer, json_option, out_options, title_option
@@ -12,9 +12,14 @@ from taichi_bearings_cli.report import ends, lines_of, solved
 from taichi_bearings_cli.verify import describe as describe_verdict
 
 from taichi_bearings import interrupts, leaving
+from taichi_bearings.plain_files import Json
 from taichi_bearings.progress import duration
 from taichi_bearings.quantities import COLUMNS
 from taichi_bearings.words import counted, listed, other_contacts
+
+if TYPE_CHECKING:
+    from taichi_bearings.runs.result import Result
+    from taichi_bearings.runs.settings import RunSettings
 
 # columns from which the line on each sample is made, see `_of_a_sample`
 OF_A_SAMPLE = ("power", "gap", "proof", "slipping", "slipless", "tied", "undecided", "unproven", "contacts")
@@ -85,13 +90,19 @@ def command(
                 kept = goes_on if error.args else "nothing is kept"
                 raise KeyboardInterrupt(f"bearings: interrupted before a first result was reached; {kept}") from None
             verdict, unverified = _verified(found.path) if verify and not found.interrupted else (None, False)
+        from taichi_bearings.runs.run import run_kind_of  # loaded by now
+
         summary = found.summary
-        for sentence in summary["warnings"] + _idle_seed(found.asked, given):
+        idle = run_kind_of(found.asked).idle_seed(found.asked) if "seed" in given else []
+        for sentence in summary["warnings"] + idle:
             click.echo(in_lines(f"bearings: warning: {sentence}", err=True), err=True)
+
+        is_complete = found.reached and not found.solution.interrupted
+        goes_on = _how_to_go_on(found.path, is_complete) if found.interrupted else ""
 
         def words() -> str:
             """Return the report in words, and the verdict of --verify if there is one."""
-            report = describe(summary, display.times()) + (UNVERIFIED if unverified else _ending(found))
+            report = describe(summary, display.times()) + (UNVERIFIED if unverified else goes_on)
             return in_lines(f"{report}\n{describe_verdict(verdict)}" if verdict else report)
 
         answer(summary | ({"verification": verdict} if verdict else {}), as_json, words)
@@ -107,22 +118,16 @@ def command(
 UNVERIFIED = "\n  interrupted: the file is not verified"
 
 
-def _verified(folder: Path) -> tuple[dict[str, Any] | None, bool]:
+def _verified(folder: Path) -> tuple[Json | None, bool]:
     """Return the report of `bearings verify` on a run, None if it is interrupted, and True if it is interrupted.
 
     folder : the run directory.
     """
     from taichi_bearings.runs.verify import verify
 
-    verdicts: list[dict[str, Any]] = []
+    verdicts: list[Json] = []
     interrupted = interrupts.broken_off(lambda: verdicts.append(verify(folder)))
     return (None, True) if interrupted or not verdicts else (verdicts[0], False)
-
-
-def _ending(found: Any) -> str:
-    """Return a line on how the result `found` of a run can be continued if it was interrupted; else an empty text."""
-    complete = found.reached and not found.solution.interrupted
-    return _how_to_go_on(found.path, complete) if found.interrupted else ""
 
 
 def _how_to_go_on(folder: Path, complete: bool) -> str:
@@ -140,7 +145,7 @@ def _how_to_go_on(folder: Path, complete: bool) -> str:
     return "\n  this run cannot be resumed; with --checkpoint-every SECONDS it could be"
 
 
-def _print_cost(scene: str | None, resumed: str | None, given: dict[str, Any], as_json: bool) -> None:
+def _print_cost(scene: str | None, resumed: str | None, given: Json, as_json: bool) -> None:
     """Print the method, and the time and memory to expect, for --dry-run.
 
     scene : path of the scene file or run directory, None without one.
@@ -160,7 +165,7 @@ def _print_cost(scene: str | None, resumed: str | None, given: dict[str, Any], a
     answer(report, as_json, lambda: describe_cost(report, settings.method == "auto"))
 
 
-def describe_cost(report: dict[str, Any], is_chosen: bool = False) -> str:
+def describe_cost(report: Json, is_chosen: bool = False) -> str:
     """Return in words what a run would take.
 
     report : object of `--dry-run --json`; its `seconds` is None where the time cannot be known before.
@@ -187,21 +192,9 @@ def describe_cost(report: dict[str, Any], is_chosen: bool = False) -> str:
     return f"method: {report['method']}{why}\ntime: {words}\nmemory: about {report['bytes'] / 1e9:.2f} GB"
 
 
-def _idle_seed(settings: Any, given: dict[str, Any]) -> list[str]:
-    """Return sentences that warn of a --seed from which nothing is drawn; an empty list if something is, or without
-    --seed.
-
-    settings : settings of the run.
-    given : the options that the user gave, by name.
-    """
-    from taichi_bearings.runs.run import run_kind_of
-
-    return run_kind_of(settings).idle_seed(settings) if "seed" in given else []
-
-
 def _task(
-    scene: str | None, out: str | None, force: bool, resumed: str | None, given: dict[str, Any]
-) -> tuple[Callable[..., Any], str | None]:
+    scene: str | None, out: str | None, force: bool, resumed: str | None, given: Json
+) -> "tuple[Callable[..., Result], str | None]":
     """Return a function that solves what the command line asks for, and the directory that it asks for, None if it
     names none.
 
@@ -225,7 +218,7 @@ def _task(
     return partial(run, settings, Path(out) if out else None, force), out
 
 
-def _settings(scene: str | None, given: dict[str, Any]) -> tuple[Any, str | None]:
+def _settings(scene: str | None, given: Json) -> "tuple[RunSettings, str | None]":
     """Return the settings of a run, and the directory that the scene file names, None if it names none.
 
     scene : path of a scene file (TOML) or of a run, None without one.
@@ -253,7 +246,7 @@ def _settings(scene: str | None, given: dict[str, Any]) -> tuple[Any, str | None
     return RunSettings.from_mapping(values | given, scene or "the options"), stored_out
 
 
-def describe(summary: dict[str, Any], times: str) -> str:
+def describe(summary: Json, times: str) -> str:
     """Return a short report of a run in words, some lines.
 
     summary : the object of `--json`.
@@ -287,7 +280,7 @@ def describe(summary: dict[str, Any], times: str) -> str:
 
 
 def _of_a_sample(
-    summary: dict[str, Any], power: Any, gap: Any, proof: str | None, slipping: int, slipless: int, *others: Any
+    summary: Json, power: Any, gap: Any, proof: str | None, slipping: int, slipless: int, *others: Any
 ) -> str:
     """Return a line on one sample: power, proven gap, how many contacts slip, and how many of these states are proven.
 

@@ -11,6 +11,7 @@ from taichi_bearings_cli.progress import ScanDisplay
 from taichi_bearings import interrupts
 from taichi_bearings.copies import begun_early
 from taichi_bearings.errors import InputError, printable
+from taichi_bearings.plain_files import Json
 from taichi_bearings.progress import duration
 from taichi_bearings.runs.settings import SCAN_OPTIONS
 from taichi_bearings.words import counted
@@ -84,7 +85,7 @@ def command(context: click.Context, scan: Path, dry_run: bool, as_json: bool, **
     context.exit(code)
 
 
-def _solve(scan: Path, dry_run: bool, as_json: bool, asked: dict[str, Any]) -> int:
+def _solve(scan: Path, dry_run: bool, as_json: bool, asked: Json) -> int:
     """Solve, merge or estimate a scan, print the report, and return the exit code of the command `bearings scan`.
 
     scan : its file SCAN.toml, or the folder of a scan that is continued.
@@ -137,7 +138,7 @@ def _without_folder(scan: Path) -> InputError:
     return InputError("--part and --merge need --out DIR, the same for all parts")
 
 
-def describe_estimate(expected: dict[str, Any]) -> str:
+def describe_estimate(expected: Json) -> str:
     """Return in words what a scan would do.
 
     expected : the object of `--dry-run --json`.
@@ -153,7 +154,7 @@ def describe_estimate(expected: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def describe(report: dict[str, Any]) -> str:
+def describe(report: Json) -> str:
     """Return the report of a scan in words, some lines.
 
     report : the object of `--json`.

@@ -1,7 +1,6 @@
 """The command `bearings verify`."""
 
 from pathlib import Path
-from typing import Any
 
 import click
 from taichi_bearings_cli.options import answer, json_option, run_argument
@@ -9,6 +8,7 @@ from taichi_bearings_cli.progress import Display, in_lines
 from taichi_bearings_cli.report import ends
 
 from taichi_bearings.errors import printable
+from taichi_bearings.plain_files import Json
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.words import listed
 
@@ -40,7 +40,7 @@ def command(context: click.Context, run: Path, as_json: bool) -> None:
     context.exit(0 if report["verified"] else 1)
 
 
-def describe(report: dict[str, Any], times: str = "") -> str:
+def describe(report: Json, times: str = "") -> str:
     """Return the verdict on a run in words, some lines.
 
     report : the object of `--json`.
