@@ -6,6 +6,7 @@ A *site* is the distance between the centres of two neighbouring discs on paper,
 contacts between them.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -213,7 +214,7 @@ def _on_paper(points: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray]:
     return seen[..., :2], seen[..., 2]
 
 
-def one_panel(network: Network, page: Page) -> tuple[Figure, Any, Sheet, float, dict[str, Any]]:
+def one_panel(network: Network, page: Page) -> tuple[Figure, Axes, Sheet, float, dict[str, Any]]:
     """Return a figure with one panel for a flat lattice or a packing, its axes, the discs on paper, the distance
     between two neighbouring discs in points, and the arguments that place a colour bar where it fits.
 
@@ -306,7 +307,7 @@ def paint_block(axes: "Axes3D", colour: np.ndarray, view: View = VIEW) -> None:
         axes.add_collection(LineCollection(list(edges), colors="black", lw=0.6, zorder=3))
 
 
-def box_edges(low: Any, high: Any) -> np.ndarray:
+def box_edges(low: Sequence[float] | np.ndarray, high: Sequence[float] | np.ndarray) -> np.ndarray:
     """Return the twelve edges of an upright box, (12, 2, 3): the places of their two ends.
 
     low, high : its lowest and highest corner, (3,) each.

@@ -12,7 +12,9 @@ from typing import Any
 
 import numpy as np
 from matplotlib import colormaps, rc_context, rcParamsDefault
+from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.backend_bases import RendererBase
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -64,7 +66,7 @@ class NotebookFigure(Figure):
         finally:
             self.dpi = printed
 
-    def draw(self, renderer: Any) -> None:
+    def draw(self, renderer: RendererBase) -> None:
         """Lay out the figure twice and draw it: titles above axes of a fixed aspect have their final place only
         then.
         """
@@ -94,7 +96,7 @@ def new_figure(width: float = SINGLE, height: float = 2.5, dpi: float = PAGE.dpi
 
 def panels(
     page: Page, number: int, row: tuple[float, float], more: float = 0.0, least: float = BROAD, widest: str = "double"
-) -> tuple[Figure, list[Any], float]:
+) -> tuple[Figure, list[Axes], float]:
     """Return a figure of panels in rows, their axes, and the width of each panel in inches. The first panel spans the
     columns that would stay empty.
 

@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 from taichi_bearings.errors import BearingsError, InputError
 from taichi_bearings.files.scan_file import FAILED
@@ -43,7 +42,7 @@ class Entry:
 
     path: str
     kind: str
-    values: Mapping[str, Any]
+    values: Json
     modified: float
     problem: str = ""
 
@@ -173,7 +172,7 @@ def _words_of_run(values: Mapping[str, object]) -> str:
     return f"{what}: {status}; {power}, {gap}, {decided}"
 
 
-def _words_of_scan(values: Mapping[str, Any]) -> str:
+def _words_of_scan(values: Json) -> str:
     """Return one line that says what a scan holds.
 
     values : its scanned keys and numbers of samples, by name.

@@ -9,7 +9,6 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -109,18 +108,18 @@ def read_journals(folder: Path) -> dict[str, Json]:
     return records
 
 
-def is_failed(record: Mapping[str, Any]) -> bool:
+def is_failed(record: Json) -> bool:
     """Return True if a record says that its sample has no result."""
     found: bool = record["scalars"]["status"] == FAILED
     return found
 
 
-def is_analysed(record: Mapping[str, Any]) -> bool:
+def is_analysed(record: Json) -> bool:
     """Return True if a record has the numbers of `bearings analyse`."""
     return "power_minimum_cut" in record["scalars"]
 
 
-def incomplete_parts(plan: ScanPlan, folder: Path, records: Mapping[str, Mapping[str, object]]) -> list[Json]:
+def incomplete_parts(plan: ScanPlan, folder: Path, records: Mapping[str, Json]) -> list[Json]:
     """Return the parts that lack samples: for each a dictionary with `part`, as "i/n", and `missing`, how many of its
     samples have no result.
 

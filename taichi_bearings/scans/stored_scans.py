@@ -83,7 +83,7 @@ def open_scan(path: Path) -> StoredScan:
     try:
         plan = read_plan(scan)
         nothing = {sample.key: {"scalars": {"status": MISSING}, "bins": {}} for sample in plan.samples}
-        records: dict[str, Mapping[str, Any]] = {**nothing, **read_journals(folder)}
+        records: dict[str, Json] = {**nothing, **read_journals(folder)}
     except BearingsError as error:
         if stored is None:
             raise FileError(
@@ -128,7 +128,7 @@ def attributes_of(plan: ScanPlan, journals: int) -> Json:
     return {**known, "taichi_bearings": VERSION, **versions()}
 
 
-def columns_of(plan: ScanPlan, records: Mapping[str, Mapping[str, object]]) -> dict[str, Finding]:
+def columns_of(plan: ScanPlan, records: Mapping[str, Json]) -> dict[str, Finding]:
     """Return the table of a scan by column, one row for each sample that has a record.
 
     plan : the plan of the scan.
@@ -153,7 +153,7 @@ def columns_of(plan: ScanPlan, records: Mapping[str, Mapping[str, object]]) -> d
     return columns | {"sample": column([sample.key for sample in samples], *meaning["sample"])}
 
 
-def _scalars(sample: Sample, record: Mapping[str, Any]) -> Json:
+def _scalars(sample: Sample, record: Json) -> Json:
     """Return numbers and texts of a sample by name: those of its record and, where the record lacks them because the
     sample failed, those of its settings.
 
@@ -167,7 +167,7 @@ def _scalars(sample: Sample, record: Mapping[str, Any]) -> Json:
     return found | {name: written(getattr(settings, name)) for name in SETTING_COLUMNS if name in known}
 
 
-def histograms_of(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> SampleCounts:
+def histograms_of(plan: ScanPlan, records: Mapping[str, Json]) -> SampleCounts:
     """Return the numbers of contacts by power, one row for each sample that has a record.
 
     plan : the plan of the scan.

@@ -32,7 +32,7 @@ from taichi_bearings.scene.generators import random_packing, space_filling
 from taichi_bearings.scene.generators.lattices import KINDS, Built, built, driven_bodies
 from taichi_bearings.scene.law import COULOMB, LAWS, Law, law_named
 from taichi_bearings.scene.network import Network
-from taichi_bearings.scene.readers.found import TOLERANCE, Sides, completed, contact_summary, from_centers
+from taichi_bearings.scene.readers.found import TOLERANCE, Lengths, Sides, completed, contact_summary, from_centers
 from taichi_bearings.scene.readers.lammps import Asked, read_dumps
 from taichi_bearings.scene.readers.tables import read_contacts, read_spheres
 from taichi_bearings.scene.scene import bearing_state, imposed_direction
@@ -418,7 +418,9 @@ class Packing(Bearing):
         return html_table(repr(self), [("driven_bodies", bodies), *ranges])
 
     @classmethod
-    def lattice(cls, kind: str, cells: object, periodic: Any = (), seed: int = 0, **others: Any) -> "Packing":
+    def lattice(
+        cls, kind: str, cells: object, periodic: str | Sequence[str] = (), seed: int = 0, **others: Any
+    ) -> "Packing":
         """Return the spheres of a lattice with two driven bodies: 0, the bottom, and 1, the top.
 
         Parameters
@@ -556,7 +558,7 @@ class Packing(Bearing):
         return cls._between_sides(radius, found, 1.0, seed, {"radius": 1.0, "at_surface": True} | others)
 
     @classmethod
-    def from_lammps(cls, atoms: str | Path, contacts: str | Path, columns: Any, **others: Any) -> "Packing":
+    def from_lammps(cls, atoms: str | Path, contacts: str | Path, columns: Sequence[str], **others: Any) -> "Packing":
         """Return the packing in two dumps of LAMMPS or LIGGGHTS at the same timestep.
 
         Parameters
@@ -589,7 +591,7 @@ class Packing(Bearing):
         return cls(**{**read_dumps(Path(atoms), Path(contacts), columns, asked), **others})
 
     @classmethod
-    def _between_sides(cls, size: Any, found: Built, unit: float, seed: int, others: dict[str, Any]) -> "Packing":
+    def _between_sides(cls, size: float | np.ndarray, found: Built, unit: float, seed: int, others: Json) -> "Packing":
         """Return the packing of spheres whose lowest and highest ones are driven.
 
         size : radius of each sphere, (spheres N,) or one number, in units of the argument `radius`.
@@ -618,8 +620,8 @@ class Packing(Bearing):
 
     @classmethod
     def from_centers(
-        cls, center: Any, radius: Any = 0.5, tolerance: float = TOLERANCE, driven: Any = None, spin: Any = None,
-        periodic: Any = None, **others: Any,
+        cls, center: ArrayLike, radius: ArrayLike = 0.5, tolerance: float = TOLERANCE, driven: ArrayLike | None = None,
+        spin: ArrayLike | None = None, periodic: Lengths = None, **others: Any,
     ) -> "Packing":  # fmt: skip
         """Return spheres or discs that are in contact wherever they touch.
 
@@ -805,7 +807,7 @@ class Packing(Bearing):
         return path
 
 
-def _states(given: dict[str, Any], dimension: int) -> np.ndarray:
+def _states(given: Json, dimension: int) -> np.ndarray:
     """Return the bearing states of bottom and top, (2, 4): A_x, A_y, A_z in 1/time, and C in 1/(time length).
 
     given : arguments of the caller by name; `spin_bottom`, `spin_top`, `direction`, `bottom` and `top` are removed from

@@ -3,11 +3,12 @@
 Letters: N spheres, E contacts, D = 2 or 3 dimensions.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.options import finite_number
@@ -21,6 +22,10 @@ TOLERANCE = 1e-3  # of the sum of the radii
 SIDES = 2  # bodies: the bottom is 0, the top 1
 
 
+Lengths = Sequence[float | None] | np.ndarray | None
+"""Length of the periodic side along each axis, 0 or None for other axes; None if no axis is periodic."""
+
+
 @dataclass(frozen=True)
 class Sides:
     """How the two driven bodies of a packing are driven: the bottom, number 0, and the top, number 1.
@@ -31,7 +36,7 @@ class Sides:
 
     spin_bottom: float = 0.0
     spin_top: float = 1.0
-    direction: Any = (1.0, 1.0, 0.0)
+    direction: Sequence[float] = (1.0, 1.0, 0.0)
 
     def spins(self, driven: np.ndarray, dimension: int) -> np.ndarray:
         """Return the imposed spins, (spheres N, 3) of spheres or (N,) of discs, 1/time. Raises InputError for a body
@@ -55,7 +60,12 @@ class Sides:
 
 
 def from_centers(
-    center: Any, radius: Any, tolerance: float, given: dict[str, Any], sides: Sides, periodic: Any = None
+    center: ArrayLike,
+    radius: ArrayLike,
+    tolerance: float,
+    given: Mapping[str, Any],
+    sides: Sides,
+    periodic: Lengths = None,
 ) -> dict[str, np.ndarray]:
     """Return the arrays of a packing, by name, whose spheres touch where |d - R_i - R_j| <= tolerance (R_i + R_j), with
     the distance d of two centres.
@@ -87,7 +97,9 @@ def from_centers(
     return {"center": center, "contact": contact, "driven": driven, "spin": spin, "radius": radius, "normal": normal}
 
 
-def completed(found: Mapping[str, Any], tolerance: float, sides: Sides, periodic: Any = None) -> dict[str, np.ndarray]:
+def completed(
+    found: Mapping[str, Any], tolerance: float, sides: Sides, periodic: Lengths = None
+) -> dict[str, np.ndarray]:
     """Return the arrays of a packing, by name, from those of tables: contacts and driven bodies are found if missing.
 
     found : arrays of the tables by name, center and radius among them.
@@ -125,7 +137,7 @@ def contact_summary(contact: np.ndarray, spheres: int, tolerance: float) -> tupl
     return f"{pairs}, {rule}; {none}", alone
 
 
-def _lengths(periodic: object, dimension: int, largest: float) -> np.ndarray:
+def _lengths(periodic: Lengths, dimension: int, largest: float) -> np.ndarray:
     """Return the lengths (dimensions D,) of the periodic sides, 0 along other axes; raise InputError for anything else.
 
     periodic : what the user has passed, or None.

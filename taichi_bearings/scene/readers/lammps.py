@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.lattice.grid import AXIS_NAMES, axis_numbers
@@ -39,12 +40,12 @@ class Asked:
     """
 
     step: int | None = None
-    driven: Any = None
+    driven: Mapping[int, int] | ArrayLike | None = None
     driven_types: Mapping[int, int] | None = None
-    spin: Mapping[int, Any] | None = None
+    spin: Mapping[int, ArrayLike] | None = None
     dimension: int = 3
     radius: float | None = None
-    periodic: Any = None
+    periodic: str | Sequence[str] | None = None
 
     def __post_init__(self) -> None:
         """Raise InputError for a dimension other than 2 or 3, and if it is not said which atoms are driven."""
@@ -444,7 +445,7 @@ def _bodies(number: np.ndarray, asked: Asked, kind: np.ndarray) -> np.ndarray:
     return body
 
 
-def _imposed_spins(body: np.ndarray, spin: Mapping[int, Any], dimension: int) -> np.ndarray:
+def _imposed_spins(body: np.ndarray, spin: Mapping[int, ArrayLike], dimension: int) -> np.ndarray:
     """Return the imposed spins of driven atoms, (spheres N, 3) or (N,) for discs, 1/time; 0 for others.
 
     body : (N,), driven body of each atom, -1 for free ones.
