@@ -90,19 +90,13 @@ def command(
                 kept = goes_on if error.args else "nothing is kept"
                 raise KeyboardInterrupt(f"bearings: interrupted before a first result was reached; {kept}") from None
             verdict, unverified = _verified(found.path) if verify and not found.interrupted else (None, False)
-        from taichi_bearings.runs.run import run_kind_of  # loaded by now
-
         summary = found.summary
-        idle = run_kind_of(found.asked).idle_seed(found.asked) if "seed" in given else []
-        for sentence in summary["warnings"] + idle:
+        for sentence in summary["warnings"] + (_idle_seed(found.asked) if "seed" in given else []):
             click.echo(in_lines(f"bearings: warning: {sentence}", err=True), err=True)
-
-        is_complete = found.reached and not found.solution.interrupted
-        goes_on = _how_to_go_on(found.path, is_complete) if found.interrupted else ""
 
         def words() -> str:
             """Return the report in words, and the verdict of --verify if there is one."""
-            report = describe(summary, display.times()) + (UNVERIFIED if unverified else goes_on)
+            report = describe(summary, display.times()) + (UNVERIFIED if unverified else _ending(found))
             return in_lines(f"{report}\n{describe_verdict(verdict)}" if verdict else report)
 
         answer(summary | ({"verification": verdict} if verdict else {}), as_json, words)
@@ -128,6 +122,12 @@ def _verified(folder: Path) -> tuple[Json | None, bool]:
     verdicts: list[Json] = []
     interrupted = interrupts.broken_off(lambda: verdicts.append(verify(folder)))
     return (None, True) if interrupted or not verdicts else (verdicts[0], False)
+
+
+def _ending(found: "Result") -> str:
+    """Return a line on how the result of a run can be continued if it was interrupted; else an empty text."""
+    complete = found.reached and not found.solution.interrupted
+    return _how_to_go_on(found.path, complete) if found.interrupted else ""
 
 
 def _how_to_go_on(folder: Path, complete: bool) -> str:
@@ -190,6 +190,13 @@ def describe_cost(report: Json, is_chosen: bool = False) -> str:
         )
         words = f"about {step:.1g} s a step{known}{open_end}"
     return f"method: {report['method']}{why}\ntime: {words}\nmemory: about {report['bytes'] / 1e9:.2f} GB"
+
+
+def _idle_seed(settings: "RunSettings") -> list[str]:
+    """Return a sentence, in a list, if nothing is drawn from the seed of a run with these settings."""
+    from taichi_bearings.runs.run import run_kind_of
+
+    return run_kind_of(settings).idle_seed(settings)
 
 
 def _task(

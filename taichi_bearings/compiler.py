@@ -9,7 +9,6 @@ import contextlib
 import importlib.util
 import inspect
 import linecache
-import logging
 import os
 import stat
 import tempfile
@@ -21,7 +20,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from taichi_bearings.errors import DeviceError
+from taichi_bearings.errors import DeviceError, warn
 from taichi_bearings.later import standing_in
 
 VARIABLE = "TAICHI_BEARINGS_COMPILER"
@@ -114,8 +113,7 @@ def _is_ours(folder: Path) -> bool:
 @cache
 def _warn_of_cache(place: Path) -> None:
     """Warn, once in a process, that the path `place`, where compiled kernels should be kept, is no folder."""
-    words = "bearings: %s is no folder; compiled kernels are kept in a temporary folder instead"
-    logging.getLogger(__name__).warning(words, place)
+    warn(f"{place} is no folder; compiled kernels are kept in a temporary folder instead")
 
 
 def _is_private(status: os.stat_result) -> bool:

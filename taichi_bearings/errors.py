@@ -25,6 +25,13 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
+def warn(sentence: object) -> None:
+    """Log a sentence as a warning, after "bearings: "."""
+    import logging  # which --help does without
+
+    logging.getLogger("taichi_bearings").warning("bearings: %s", sentence)
+
+
 class InputError(BearingsError):
     """Raised for a value that cannot be used; the message names it and says what is allowed."""
 

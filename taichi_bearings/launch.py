@@ -1,6 +1,5 @@
 """Starts kernels quickly that are started again and again with the same arguments."""
 
-import logging
 from collections.abc import Callable
 from functools import cache
 from typing import Any
@@ -9,6 +8,7 @@ import numpy as np
 
 from taichi_bearings import compiler, runtime
 from taichi_bearings.compiler import ti
+from taichi_bearings.errors import warn
 
 
 def prepared(kernel: Any, *arguments: np.ndarray | int) -> Callable[[], None]:
@@ -67,8 +67,7 @@ def _is_fork() -> bool:
 @cache
 def _warn_of_slow_starts() -> None:
     """Warn that starts are slow, once in a process."""
-    logging.getLogger(__name__).warning(
-        "bearings: kernels of this version of %s cannot be prepared once, so each start takes 0.1 ms more: the results "
-        "are the same, but small samples can take many times as long",
-        compiler.name(),
+    warn(
+        f"kernels of this version of {compiler.name()} cannot be prepared once, so each start takes 0.1 ms more: the "
+        "results are the same, but small samples can take many times as long"
     )

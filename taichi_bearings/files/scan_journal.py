@@ -7,7 +7,6 @@ its sample is missing, and the line is removed when the journal is next opened f
 
 import contextlib
 import json
-import logging
 import os
 import re
 import zlib
@@ -16,7 +15,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from taichi_bearings.errors import FileError
+from taichi_bearings.errors import FileError, warn
 from taichi_bearings.plain_files import Json, opened, read_lines, refuse_link_out, replace_file, write_all, writing
 from taichi_bearings.scene.solution import is_crossed
 
@@ -97,9 +96,7 @@ def read_journal(path: Path, fits: Callable[[Any], bool] = _has_key) -> dict[str
         if sample is not None:
             samples[sample["key"]] = sample
         elif line.endswith(b"\n"):
-            logging.getLogger(__name__).warning(
-                "bearings: line %d of %s is damaged; its sample is taken for missing", number, path
-            )
+            warn(f"line {number} of {path} is damaged; its sample is taken for missing")
     return samples
 
 

@@ -1,6 +1,5 @@
 """One run from its settings: solve it, write the run directory, and go on with it after an interrupt."""
 
-import logging
 import secrets
 import shutil
 import sys
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taichi_bearings import leaving
-from taichi_bearings.errors import FileError, InputError, WriteError
+from taichi_bearings.errors import FileError, InputError, WriteError, warn
 from taichi_bearings.files.whole_file import write_text
 from taichi_bearings.interrupts import awaited, broken_off
 from taichi_bearings.plain_files import real_path
@@ -142,7 +141,7 @@ def _rescued(found: Result, write: Callable[[], Result], otherwise: str) -> Resu
             raise WriteError(
                 f"{error}, nor could a copy of the result be written into the temporary folder {spare}; {otherwise}"
             ) from None
-        logging.getLogger(__name__).warning("bearings: %s; the result is in %s", error, folder)
+        warn(f"{error}; the result is in {folder}")
         return found
 
 
@@ -241,7 +240,7 @@ def _solve_with_checkpoints(
         try:
             write_checkpoint(path, stored.to_toml(), versions(), state)
         except FileError as error:  # a full disk may have room again before the end
-            logging.getLogger(__name__).warning("bearings: %s; the run goes on", error)
+            warn(f"{error}; the run goes on")
 
     every = stored.checkpoint_every or np.inf
     try:

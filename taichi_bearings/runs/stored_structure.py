@@ -14,9 +14,8 @@ from taichi_bearings.analysis.structure import Structure
 from taichi_bearings.errors import FileError
 from taichi_bearings.files.whole_file import Finding
 from taichi_bearings.hdf5 import open_hdf5
-from taichi_bearings.quantities import Quantity
 from taichi_bearings.runs.run_layout import AXES
-from taichi_bearings.runs.structure_report import IN_FILES, ON_CONTACTS, ON_SPHERES, columns_of
+from taichi_bearings.runs.structure_report import ON_CONTACTS, ON_SPHERES, columns_of, names_in_file
 
 GROUP = "analysis"
 BY_THRESHOLD = "threshold"
@@ -113,23 +112,20 @@ class _Stored:
 
     def _columns(self) -> tuple[dict[str, Finding], dict[str, Finding]]:
         """Return the stored columns of the spheres and of the contacts, by name."""
-        structure, both = self.structure, {row.name for row in ON_SPHERES} & {row.name for row in ON_CONTACTS}
-        if (lattice := structure.whole.lattice) is None:
-            names = {row: f"sphere_{row.name}" if row.name in both else row.name for row in ON_SPHERES}
-            spheres = {row: self.get(n, structure.whole.spheres) for row, n in names.items() if n in self.group}
-            contacts = {r: self.get(r.name, structure.whole.contacts) for r in ON_CONTACTS if r.name in self.group}
-            return _findings(spheres), _findings(contacts)
-        names = {
-            row: "betweenness/sphere" if row.name in both else IN_FILES.get(row.name, row.name) for row in ON_SPHERES
-        }
-        spheres = {row: self.get(n, *lattice.shape).ravel() for row, n in names.items() if n in self.group}
-        contacts = {}
+        network, lattice = self.structure.whole, self.structure.whole.lattice
+        of_spheres, of_contacts = names_in_file(lattice is not None)
+        shapes: dict[str, tuple[int, ...]] = {"": (network.contacts,)}  # of the data sets of a column of contacts
+        if lattice is not None:
+            shapes = {f"/{AXES[k]}": lattice.contact_shape(k) for k in range(lattice.dimension)}
+        spheres, contacts = dict[str, Finding](), dict[str, Finding]()
+        for row in ON_SPHERES:
+            if (name := of_spheres[row.name]) in self.group:
+                spheres[row.name] = Finding(self.get(name, *network.shape).ravel(), row.unit, row.text)
         for row in ON_CONTACTS:
-            parts = [f"{IN_FILES.get(row.name, row.name)}/{axis}" for axis in AXES[: lattice.dimension]]
-            if parts[0] in self.group:
-                found = [self.get(part, *lattice.contact_shape(axis)).ravel() for axis, part in enumerate(parts)]
-                contacts[row] = np.concatenate(found)
-        return _findings(spheres), _findings(contacts)
+            if (name := of_contacts[row.name]) in self.group:
+                parts = [self.get(name + axis, *shape).ravel() for axis, shape in shapes.items()]
+                contacts[row.name] = Finding(np.concatenate(parts), row.unit, row.text)
+        return spheres, contacts
 
     def _domains(self, domain: np.ndarray) -> RigidDomains:
         """Return the stored rigid domains of a lattice.
@@ -167,8 +163,3 @@ class _Stored:
         if len(path) and (path.dtype.kind not in "iu" or path.max() >= count):
             raise ValueError(f"the data set 'path' must hold numbers of spheres, whole numbers below {count:,}")
         return np.asarray(path)
-
-
-def _findings(columns: dict[Quantity, np.ndarray]) -> dict[str, Finding]:
-    """Return columns by name, with the units and descriptions of their quantities."""
-    return {row.name: Finding(values, row.unit, row.text) for row, values in columns.items()}

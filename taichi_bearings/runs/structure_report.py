@@ -75,24 +75,32 @@ def columns_of(structure: Structure) -> tuple[dict[str, Finding], dict[str, Find
     return found(ON_SPHERES), found(ON_CONTACTS)
 
 
+def names_in_file(is_lattice: bool) -> tuple[dict[str, str], dict[str, str]]:
+    """Return the names in the group /analysis of the columns of spheres, and of those of contacts, by column. On a
+    lattice a column of contacts is a group with a data set for each axis.
+    """
+    spheres, contacts = ([row.name for row in rows] for rows in (ON_SPHERES, ON_CONTACTS))
+    of_spheres = "{}/sphere" if is_lattice else "sphere_{}"  # of columns that contacts have, too
+    in_files = IN_FILES if is_lattice else {}
+    names = {name: of_spheres.format(name) if name in contacts else in_files.get(name, name) for name in spheres}
+    return names, {name: in_files.get(name, name) for name in contacts}
+
+
 def findings_of(structure: Structure) -> dict[str, Finding]:
     """Return the structure of one sample as arrays, by their names in the group /analysis.
 
     structure : what the contacts of the sample form. On a lattice arrays over the contacts are split by axis, and
         arrays over the spheres have its shape; in a packing they are (contacts E,) and (spheres N,).
     """
-    spheres, contacts = columns_of(structure)
-    if (lattice := structure.whole.lattice) is None:
+    (spheres, contacts), lattice = columns_of(structure), structure.whole.lattice
+    of_spheres, of_contacts = names_in_file(lattice is not None)
+    spheres = {of_spheres[name]: column for name, column in spheres.items()}
+    if lattice is None:
         path = Finding(structure.network.path, "1", "numbers of the spheres along one shortest slipless path")
-        renamed = {f"sphere_{n}" if n in contacts else n: column for n, column in spheres.items()}
-        return renamed | contacts | {"path": path}
+        return spheres | contacts | {"path": path}
     domains = structure.rigid_domains
     components = ", ".join(AXES[component] for component in domains.spin_axes)
-    spheres["betweenness/sphere"] = spheres.pop("betweenness")
-    found = {
-        IN_FILES.get(name, name): replace(column, values=column.values.reshape(lattice.shape))
-        for name, column in spheres.items()
-    }
+    found = {name: replace(of, values=of.values.reshape(lattice.shape)) for name, of in spheres.items()}
     for row in DOMAINS:
         found[row.name] = Finding(row.of(structure), row.unit, row.text.format(components=components))
     for k, label in zip(domains.spin_axes, domains.component_domain, strict=True):
@@ -100,5 +108,5 @@ def findings_of(structure: Structure) -> dict[str, Finding]:
         found[f"component_domain/{AXES[k]}"] = Finding(label.astype(np.int32), "1", text)
     for name, column in contacts.items():
         for axis, part in zip(AXES, lattice.by_axis(column.values), strict=False):
-            found[f"{IN_FILES.get(name, name)}/{axis}"] = replace(column, values=part)
+            found[f"{of_contacts[name]}/{axis}"] = replace(column, values=part)
     return found

@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import logging
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taichi_bearings import compiler
-from taichi_bearings.errors import FileError, WriteError, printable
+from taichi_bearings.errors import FileError, WriteError, printable, warn
 from taichi_bearings.files.whole_file import write_arrays, write_text
 from taichi_bearings.runs.run_directory import RunDirectory
 from taichi_bearings.runs.run_layout import write_run_file
@@ -123,7 +122,7 @@ def _unless_full() -> Iterator[None]:
     try:
         yield
     except WriteError as error:
-        logging.getLogger(__name__).warning("bearings: %s; the run is kept without it", error)
+        warn(f"{error}; the run is kept without it")
 
 
 @contextlib.contextmanager
@@ -136,8 +135,8 @@ def _unless_undrawable() -> Iterator[None]:
     except (FileError, MemoryError):
         raise
     except Exception as error:
-        words = "bearings: no figures, matplotlib says: %s: %s; the run is kept without them"
-        logging.getLogger(__name__).warning(words, type(error).__name__, printable(str(error)))
+        said = f"{type(error).__name__}: {printable(str(error))}"
+        warn(f"no figures, matplotlib says: {said}; the run is kept without them")
 
 
 def draw_figures(found: "Result", title: bool = True) -> None:

@@ -16,7 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from taichi_bearings.errors import BearingsError, FileError, InputError
+from taichi_bearings.errors import BearingsError, FileError, InputError, warn
 from taichi_bearings.plain_files import read_json
 from taichi_bearings.scans.engine import LocalEngine, Outcome, Unit, Work, end_solvers
 from taichi_bearings.scans.plan import files_of
@@ -112,7 +112,7 @@ class DaskEngine(LocalEngine):
             self._seen_at = now if self._threads else self._seen_at
             if now > self._seen_at + NO_WORKER_SECONDS:
                 self._seen_at = now + 10 * NO_WORKER_SECONDS  # the next warning comes that much later
-                logging.getLogger(__name__).warning("bearings: the Dask cluster has no workers; waiting for some")
+                warn("the Dask cluster has no workers; waiting for some")
         return len(self.running) < UNITS_AHEAD * self._threads
 
     def sent(self, unit: Unit) -> Unit:

@@ -26,7 +26,7 @@ from typing import Any
 
 from taichi_bearings import runtime
 from taichi_bearings.copies import Original, take_original
-from taichi_bearings.errors import BearingsError, InputError, WriteError
+from taichi_bearings.errors import BearingsError, InputError, WriteError, warn
 from taichi_bearings.files.scan_file import FAILED
 from taichi_bearings.later import collect_cycles_seldom
 from taichi_bearings.memory import keep_freed
@@ -112,8 +112,7 @@ def run_samples(units: Sequence[Unit], engine: "LocalEngine") -> Iterator[list[R
                 tries[sample.key] += 1
                 may_succeed = record["scalars"]["status"] == FAILED and not record.pop("final", False)
                 if may_succeed and tries[sample.key] < TRIES:
-                    words, why = "bearings: sample %s failed and is tried again: %s", record["scalars"]["error"]
-                    logging.getLogger(__name__).warning(words, sample.label, why)
+                    warn(f"sample {sample.label} failed and is tried again: {record['scalars']['error']}")
                     retries.append((sample,))
                 else:
                     finished.append(record)

@@ -1,6 +1,5 @@
 """Runs a scan from its plan: solves missing samples, records each in a journal, and collects all in scan.h5."""
 
-import logging
 import math
 import threading
 import time
@@ -11,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.errors import FileError, InputError, warn
 from taichi_bearings.files.scan_file import write_scan
 from taichi_bearings.files.scan_journal import JOURNAL_NAME as JOURNAL
 from taichi_bearings.files.scan_journal import Journal
@@ -103,7 +102,7 @@ def missing_samples(
         try:
             read_run(state)
         except FileError as error:
-            _warn(f"a kept state is taken for missing: {error}")
+            warn(f"a kept state is taken for missing: {error}")
             return False
         return True
 
@@ -143,7 +142,7 @@ def refuse_unused(plan: ScanPlan, folder: Path, is_here: bool = False) -> None:
     for sentence in (sentence for key, sentence in found.items() if key not in used):
         if not (folder / "scan.toml").is_file():
             raise InputError(sentence)
-        _warn(f"{sentence}: it changes nothing here")
+        warn(f"{sentence}: it changes nothing here")
 
 
 def estimate(plan: ScanPlan, folder: Path, workers: int = 0, part: parts.Part | None = None) -> Json:
@@ -281,11 +280,6 @@ def _allowed_seconds(unit: Unit, sample_timeout: float | None, analyse: bool) ->
     return max(LEAST_ALLOWED, ALLOWED * sum(cost.seconds_of(sample.settings, analyse) for sample in unit))
 
 
-def _warn(text: str) -> None:
-    """Log a warning with this text."""
-    logging.getLogger(__name__).warning("bearings: %s", text)
-
-
 class _OpenScan:
     """A scan in its folder, while it is solved: its missing samples, its records so far, its journal and its progress.
 
@@ -358,7 +352,7 @@ class _OpenScan:
             work.finish(sample, record)
             if parts.is_failed(record):
                 self.progress.failed += 1
-                _warn(f"sample {sample.label} failed: {record['scalars']['error']}")
+                warn(f"sample {sample.label} failed: {record['scalars']['error']}")
             else:
                 self.progress.done += 1
                 del self.missing[sample.key]

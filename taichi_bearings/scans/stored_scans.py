@@ -3,7 +3,6 @@
 The scan there may be running, killed or complete. All commands read scans by `open_scan`.
 """
 
-import logging
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.analysis.histogram import SampleCounts
-from taichi_bearings.errors import BearingsError, FileError
+from taichi_bearings.errors import BearingsError, FileError, warn
 from taichi_bearings.files.scan_file import (
     CONTACT_SETS,
     MISSING,
@@ -89,8 +88,8 @@ def open_scan(path: Path) -> StoredScan:
             raise FileError(
                 f"{why}; nor can the scan be read from its journals, the files of finished samples: {error}"
             ) from None
-        words = "bearings: %s is out of date and the journals beside it cannot be read (%s); %s is used as it is"
-        logging.getLogger(__name__).warning(words, file, error, file.name)
+        lacking = f"{file} is out of date and the journals beside it cannot be read ({error})"
+        warn(f"{lacking}; {file.name} is used as it is")
         return stored
     attributes = attributes_of(plan, journals)
     table = {name: as_stored(item.values) for name, item in columns_of(plan, records).items()}

@@ -3,14 +3,13 @@
 Letters: N spheres, E contacts, D = 2 or 3 dimensions. A driven body is a set of driven spheres with a number, from 0.
 """
 
-import logging
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from taichi_bearings.errors import InputError
+from taichi_bearings.errors import InputError, warn
 from taichi_bearings.scene.array_files import own_array
 from taichi_bearings.words import shown
 
@@ -199,9 +198,7 @@ def pressing(values: ArrayLike, contacts: int) -> np.ndarray:
     """
     array = own_array("values of normal_force", values)
     if array.shape == (contacts,) and (pulling := array < 0).any():
-        logging.getLogger(__name__).warning(
-            "bearings: %d of %d normal forces are negative; these contacts pull and do not act", pulling.sum(), contacts
-        )
+        warn(f"{pulling.sum()} of {contacts} normal forces are negative; these contacts pull and do not act")
         values = np.where(pulling, 0.0, array)
     return sizes("normal_force", values, contacts, "contact", may_vanish=array.ndim > 0)
 

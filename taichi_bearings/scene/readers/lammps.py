@@ -1,7 +1,6 @@
 """Packings out of LAMMPS or LIGGGHTS: a `dump custom` of atoms and a `dump local` of their contacts (manual: dump,
 compute pair/local)."""
 
-import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.errors import FileError, InputError, warn
 from taichi_bearings.lattice.grid import AXIS_NAMES, axis_numbers
 from taichi_bearings.scene.checks import GAP, LEAST_SIZE, MOST_CONTACTS, MOST_SIZE, MOST_SPHERES, OVERLAP, misfit
 from taichi_bearings.scene.periods import nearest_images
@@ -172,7 +171,7 @@ def _frames(atoms: Path, contacts: Path, columns: list[str], asked: Asked) -> tu
             continue
         if cut:
             words = "; ".join(dict.fromkeys(cut))
-            logging.getLogger(__name__).warning("bearings: %s; the timestep %d is read instead", words, step)
+            warn(f"{words}; the timestep {step} is read instead")
         return frame, rows
     reasons = f": {'; '.join(dict.fromkeys(cut))}" if cut else ""
     if asked.step is None:
@@ -380,14 +379,13 @@ def _pressing_forces(rows: Frame, force: np.ndarray, count: int) -> np.ndarray:
         the other way, and all signs are changed.
     count : number of rows of the dump; contacts without any force may be missing in `force`.
     """
-    warn = logging.getLogger(__name__).warning
     if (force < 0).any() and not (force > 0).any():
-        warn("bearings: all forces of %s have the sign of those that pull; it is taken for that of pressing", rows.path)
+        warn(f"all forces of {rows.path} have the sign of those that pull; it is taken for that of pressing")
         force = -force
     pulling, idle = int((force < 0).sum()), count - int((force > 0).sum())
     if idle:
-        words = "%s bear no normal force that presses, of which %d pull; they are left out"
-        warn(f"bearings: {words}", f"{idle:,} of {counted(count, 'row')} of {rows.path}", pulling)
+        which = f"{idle:,} of {counted(count, 'row')} of {rows.path}"
+        warn(f"{which} bear no normal force that presses, of which {pulling} pull; they are left out")
     return np.where(force > 0, force, 0.0)
 
 
