@@ -55,7 +55,7 @@ def dissected(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, le
     arrays = graph.indptr, graph.indices, place
     key = blake2b(f"{[(of.shape, of.dtype) for of in arrays]} {leaf} {whole}".encode())
     for values in arrays:
-        key.update(np.ascontiguousarray(values))
+        key.update(np.ravel(values).data)
     name = key.digest()
     found = _kept.get(name) or _divided(graph, place, leaf, whole)
     with _keeping:
