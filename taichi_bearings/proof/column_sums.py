@@ -64,14 +64,12 @@ def torques_on(part: Part, force: np.ndarray, lattice: Lattice, spin_axes: tuple
     lost = total if plain else np.zeros_like(total)
     for axis, vectors in enumerate(lattice.by_axis(force)):
         for slot in tangential(axis, spin_axes):
-            for place, pull in _pulls(vectors[slot][samples], axis, (first, last), lattice):
+            for place, adds, pull in _pulls(vectors[slot][samples], axis, (first, last), lattice):
                 old = total[slot][place]
-                if plain:
-                    new = np.add(old, pull, out=old)
-                else:  # what the addition rounds away goes to the rest
-                    new = old + pull
+                new = adds(old, pull, out=old if plain else None)
+                if not plain:  # what the addition rounds away goes to the rest
                     added = new - old
-                    lost[slot][place] += (old - (new - added)) + (pull - added)
+                    lost[slot][place] += (old - (new - added)) + adds(-added, pull)
                 if not plain or axis in lattice.periodic:
                     total[slot][place] = new
     return total if plain else total + lost
@@ -79,9 +77,9 @@ def torques_on(part: Part, force: np.ndarray, lattice: Lattice, spin_axes: tuple
 
 def _pulls(
     force: np.ndarray, axis: int, planes: tuple[int, int], lattice: Lattice
-) -> Iterator[tuple[Index, np.ndarray]]:
-    """Yield pairs: an index of spheres in some planes, and the forces (r samples, *spheres) of contacts on them,
-    first the contacts above these spheres, then those below.
+) -> Iterator[tuple[Index, np.ufunc, np.ndarray]]:
+    """Yield tuples of three: an index of spheres in some planes; `np.add` for contacts above these spheres, then
+    `np.subtract` for those below; and the forces (r samples, *spheres) of these contacts.
 
     force : (r samples, *contacts), one component of the forces of all contacts along an axis.
     axis : number of the axis.
@@ -91,15 +89,15 @@ def _pulls(
     (first, last), count = planes, force.shape[1]
     if axis:  # contacts within the planes
         own, (low, high) = force[:, first:last], lattice.along(axis)
-        yield low, own
-        yield high, -own
+        yield low, np.add, own
+        yield high, np.subtract, own
         return
-    yield np.s_[:, : min(last, count) - first], force[:, first:last]
+    yield np.s_[:, : min(last, count) - first], np.add, force[:, first:last]
     begin = max(first, 1)
     if begin < last:
-        yield np.s_[:, begin - first :], -force[:, begin - 1 : last - 1]
+        yield np.s_[:, begin - first :], np.subtract, force[:, begin - 1 : last - 1]
     if first == 0 and axis in lattice.periodic:  # the last plane touches the first
-        yield np.s_[:, :1], -force[:, -1:]
+        yield np.s_[:, :1], np.subtract, force[:, -1:]
 
 
 def column_sums(
