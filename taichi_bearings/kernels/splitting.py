@@ -102,11 +102,8 @@ class ContactStep(Sweeps):
     def limit_block(
         self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(), numbers: ti.template()
     ):
-        """Write new trial and spring forces of the contacts from a block of sites to their upper neighbours.
-
-        Let f be the old trial force cut off at the friction limit, and d the `potential` of the upper sphere less that
-        of the lower one. Then the new trial force is f + (1 - alpha) (old - f) + alpha * weight * d, and the spring
-        force is weight * d - (new - 2 * new cut off). The weight is the relative stiffness of the springs.
+        """Write new trial and spring forces, which :meth:`limit` computes, of the contacts from a block of sites to
+        their upper neighbours.
 
         values : all fields, flat.
         blocks : the same memory as vectors, one for each block (group of sites that are worked on together).

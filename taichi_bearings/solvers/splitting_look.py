@@ -58,11 +58,8 @@ Task = Callable[[], "Sums"]
 
 
 class Look:
-    """An iterate of operator splitting, whose forces, power and lower bound are to be computed.
-
-    The method puts a spring into each contact. The trial force of a contact is the force that it would have without a
-    friction limit. Shapes: R samples, E contacts, C spin components, and V force components at a site, one for each
-    axis and each spin component that makes its contacts slip.
+    """An iterate of operator splitting, whose forces, power and lower bound are to be computed. Its springs and trial
+    forces are those of :class:`Looked`. Shapes: R samples, E contacts, C spin components, V force components of a site.
 
     friction, balanced, capped : (C, R, E), the trial forces, each cut off at its friction limit; the forces of the
         springs; and these forces, each cut off at its friction limit. `look` fills in the components that make contacts
@@ -92,10 +89,10 @@ class Look:
             for slot, axis in enumerate(spin_axes):
                 if axis < scene.lattice.dimension:
                     forces[slot, :, scene.lattice.spans[axis]] = 0.0
-        largest = float(scene.inverse_limit.max(initial=0.0))
-        least = float(inverse(scene.inverse_limit).max(initial=0.0))
         # function for the lengths of vectors, given as one or two arrays: a slower one where squares could overflow
-        self._length = _length if largest < 1 / LEAST_LIMIT and least < GREATEST_LIMIT else _safe_length
+        greatest = float(scene.strength * scene.acting_coefficient.max(initial=0.0))
+        is_usual = float(scene.inverse_limit.max(initial=0.0)) < 1 / LEAST_LIMIT and greatest < GREATEST_LIMIT
+        self._length = _length if is_usual else _safe_length
 
     def look(self, share: Share) -> Looked:
         """Return, as a :class:`Looked`: friction and spring forces (C components, R samples, E contacts) of the
