@@ -33,7 +33,7 @@ class GridCuts(Part):
     tied : (R, planes), number of contacts that are in some but not in all minimum cuts.
     weight, further : (R, planes), weight of the minimum cut, and by how much the lightest other one is heavier, both
         times the imposed spin difference: proportional to their powers. `further` is infinite where there is no other
-        cut, and not-a-number where it is not known.
+        cut, and not-a-number where it is not known, as where absent contacts alone are cut.
     """
 
     def __init__(self, scene: Scene, spin_axes: tuple[int, ...], spin: np.ndarray) -> None:
@@ -84,7 +84,7 @@ class GridCuts(Part):
             self.tied[where] = cuts.tied
             jump = abs(self.top[plane[part]])
             self.weight[where] = cuts.weight * jump
-            self.further[where] = np.where(cuts.weight > 0, (cuts.next_weight - cuts.weight) * jump, np.inf)
+            self.further[where] = np.where(cuts.weight > 0, (cuts.next_weight - cuts.weight) * jump, np.nan)
 
     def _store(
         self, axis: int, where: tuple[np.ndarray, np.ndarray], cut: np.ndarray, flow: np.ndarray, tied: np.ndarray

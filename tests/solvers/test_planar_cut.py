@@ -176,6 +176,15 @@ def test_a_tie_of_one_plane_is_a_tie_of_a_periodic_lattice():
     assert solution.findings["next_cut_over_minimum"][0] == 1
 
 
+def test_beside_a_plane_that_absent_contacts_cut_the_second_lightest_cut_is_not_known():
+    """Another cut of the first plane adds 0.1 * 2, the lightest other one of the second plane more."""
+    x, y, z = np.full((1, 2, 4), 0.5), np.full((2, 1, 4), 0.8), np.full((2, 2, 3), 0.9)
+    z[0, :, 1], z[0, :, 2], z[1, :, 1] = 0.0, 0.1, 0.3
+    solution = solved(Scene((x, y, z), direction=(1, 0, 0)))
+    assert solution.power[0] == pytest.approx(2 * 0.3 * 50 * 0.5)
+    assert np.isnan(solution.findings["next_cut_over_minimum"][0])
+
+
 def _plane(scene, x):
     """The layer x = const of a cubic lattice as a square one."""
     return type(scene)((scene.coefficients[1][:, x], scene.coefficients[2][:, x]))
