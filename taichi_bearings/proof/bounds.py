@@ -135,7 +135,7 @@ class Bounds:
             driven = np.flatnonzero(imposed.high)
             if len(driven):
                 work = work + row_sum((torque.at(driven) * imposed.at(driven)).reshaped((count, -1)))
-        size = network.own_size if friction is network.own_moment else network.graph.lengths(friction)
+        size = network.graph.lengths(friction) if network.mixes else network.own_size
         # Divide F by its worst ratio to the limit, over contacts without viscosity, and subtract the cost of friction
         # beyond the limit at the others, (|F| - mu F_n)^2 / (2 eta).
         undamped = network.counts & (network.slope.high == 0)

@@ -330,17 +330,16 @@ class JudgedNetwork:
             (part if all_count else part.where(self.counts)) if some else zeros(len(self.acts)) for part, some in pairs
         ]
 
-    @cached_property
-    def own_size(self) -> Enclosure:
-        """(m,), sizes of the vectors `own_moment` of the m contacts, an enclosure in units of force: those of the
-        friction of contacts along the axes."""
-        return self.graph.lengths(self.own_moment)
-
     @property
     def own_friction(self) -> list[Enclosure]:
         """Stored friction F of the contacts that can dissipate, 0 for others, by component: C enclosures (m,). On
         lattices vectors of the same size, the moments n x F, stand for it."""
         return self.graph.friction_vectors(self.moment, self.counts)
+
+    @cached_property
+    def own_size(self) -> Enclosure:
+        """(m,), sizes of the stored friction `own_friction` of the m contacts, an enclosure in units of force."""
+        return self.graph.lengths(self.own_friction)
 
     @property
     def joins(self) -> np.ndarray:
