@@ -95,9 +95,14 @@ class NewtonMatrix:
         self._kept = dict[int, ContactRows]()  # by number of samples, the memory of their Newton steps
 
     @property
+    def engine(self) -> Engine:
+        """The way in which the matrix is factorised; of several parts that of the first."""
+        return self._choleskys[0].engine
+
+    @property
     def is_costly(self) -> bool:
         """True if a factorisation takes as long as ten solutions or more, as those of large lattices do."""
-        return self._choleskys[0].engine is Engine.CALLS
+        return self.engine is Engine.CALLS
 
     @property
     def operations_per_number(self) -> float:

@@ -198,12 +198,12 @@ class Surroundings:
 
     @cached_property
     def springs(self) -> NewtonMatrix:
-        """The matrix of springs at the contacts, each of which resists every slip component alike. In large lattices it
-        is a second matrix: springs do not couple different spin components, so that it falls apart into planes, and a
-        factorisation takes a hundredth of the time."""
-        if not self.has_quick_springs:
+        """The matrix of springs at the contacts, each of which resists every slip component alike. Such springs do not
+        couple different spin components, so that in lattices with two it is a matrix of its own, which falls apart into
+        planes: a factorisation takes a tenth of the operations (10^3), in large lattices a hundredth."""
+        if self.system.ends is None or len(self.system.offset) == 1:
             return self.matrix
-        return NewtonMatrix(self.system.by_rows(), self.order, self.matrix.memory)
+        return NewtonMatrix(self.system.by_rows(), self.order, self.matrix.memory, self.matrix.engine)
 
     def copies(self, samples: int) -> ContactSystem:
         """Return the contacts of several samples as one system, in which no contact joins two samples. It is kept for
@@ -222,7 +222,7 @@ class Surroundings:
 
     @property
     def has_quick_springs(self) -> bool:
-        """True if `springs` is a matrix of its own, whose factorisation takes far less time than a Newton step."""
+        """True if a factorisation of `springs` takes far less time than a Newton step, as in large lattices."""
         return self.matrix.is_costly and self.system.ends is not None
 
 
@@ -538,7 +538,7 @@ def _with_slipless_forces(
         duals, fine = nearly_borne(shared.system, shared.springs, friction, dual, slipping, at_limit, heads)
         left = ~fine & ~at_limit.reshape(len(some), -1).any(axis=1)
         if persists and left.any():
-            of_barrier = balanced_by_barrier(shared.system, shared.springs, friction, dual, slipping, heads, left)
+            of_barrier = balanced_by_barrier(shared.system, shared.matrix, friction, dual, slipping, heads, left)
             of_contacts = np.repeat(left, at_limit.size // len(some))
             duals, fine = np.where(of_contacts, of_barrier[0], duals), np.where(left, of_barrier[1], fine)
         for (number, found), whole, inside in zip(some, np.split(duals, len(some), axis=1), fine, strict=True):
