@@ -426,10 +426,10 @@ class Packing(Bearing):
         Parameters
         ----------
         kind : str
-            "square", "triangular" or "honeycomb", of discs, or "cubic", "bcc", "fcc" or "diamond".
+            "square", "triangular" or "honeycomb", of discs, or "cubic", "bcc", "fcc", "diamond" or "hcp".
         cells : sequence of int
             Number of rectangular cells along each axis. A cell of these lattices, in the order above, has 1, 2, 4, 1,
-            2, 4 and 8 spheres.
+            2, 4, 8 and 4 spheres.
         periodic : sequence of str
             Names of axes that close on themselves, such as ("x", "y"). With the last axis among them nothing is driven.
         seed : int

@@ -24,6 +24,7 @@ TABLE = [
     ("diamond", (2, 2, 2), EVERY, 4 * 2 - 1),
     ("diamond", (3, 3, 3), EVERY, 4 * 3 - 1),
     ("fcc", (2, 2, 2), (), 0),
+    ("hcp", (3, 3, 3), EVERY, 0),
 ]
 
 

@@ -44,6 +44,9 @@ KINDS = {
     "bcc": Cell((2 / 3**0.5,) * 3, ((0.0, 0.0, 0.0), (0.5, 0.5, 0.5)), ((0, 1), (0, 0, 0))),
     "fcc": Cell((2**0.5,) * 3, FACES, None),
     "diamond": Cell((4 / 3**0.5,) * 3, FACES + QUARTER, ((0, 0, 0, 0, 1, 1, 1, 1), (0, 0, 0))),
+    "hcp": Cell(
+        (1.0, 3**0.5, (8 / 3) ** 0.5), ((0.0, 0.0, 0.0), (0.5, 0.5, 0.0), (0.5, 1 / 6, 0.5), (0.0, 2 / 3, 0.5)), None
+    ),
 }  # fmt: skip
 Built = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """Places (N, D), contacts (E, 2), normals (E, D), signs of the sublattice (N,), and bodies (N,)."""
@@ -150,13 +153,21 @@ def _bonds(cell: Cell) -> Iterator[tuple[int, int, np.ndarray, np.ndarray]]:
 
     yields : numbers within their cells of the first and of the second sphere; step (dimensions D,) in whole cells to
         the cell of the second; unit vector (D,) from the first to the second.
+
+    Raises InputError for a cell in which two spheres overlap.
     """
     basis, size = np.array(cell.basis), np.array(cell.size)
     steps = [np.array(step[::-1]) for step in product((0, 1, -1), repeat=len(size))]
     for step in steps:
         for first, second in product(range(len(basis)), repeat=2):
             vector = (basis[second] + step - basis[first]) * size
-            if abs(np.linalg.norm(vector) - 1) < 1e-9 and _leads_up(vector):
+            distance = float(np.linalg.norm(vector))
+            if distance < 1 - 1e-9 and (first != second or step.any()):
+                raise InputError(
+                    f"basis is wrong: its spheres {first} and {second} overlap, as their centres are only "
+                    f"{distance:.6g} diameters apart"
+                )
+            if abs(distance - 1) < 1e-9 and _leads_up(vector):
                 yield first, second, step, _exact(vector)
 
 
@@ -167,7 +178,8 @@ def _leads_up(vector: np.ndarray) -> bool:
 
 
 def _exact(vector: np.ndarray) -> np.ndarray:
-    """Return a unit vector with less rounding: components of equal size become equal, and those below 1e-9 become 0.
+    """Return a unit vector of which components of equal size are equal to the last bit, and those below 1e-9 are 0: it
+    is rounded to 12 digits.
 
     vector : (dimensions,), of length 1 but for rounding.
     """
