@@ -59,8 +59,8 @@ class Check:
     iteration: int
     seconds: float
     time: float | None
-    power: Any
-    gap: Any
+    power: float | np.ndarray
+    gap: float | np.ndarray
     tolerance: float
 
 
@@ -295,7 +295,7 @@ def _job(
         return PackingJob(settings, scene, None if isinstance(start, str) else initial_spin(scene, start))
     if not isinstance(scene, Scene):
         raise InputError(f"the scene is a {type(scene).__name__}; it must be a taichi_bearings.Scene or a Packing")
-    values: dict[str, Any] = {name: getattr(scene, name) for name in Scene.PARAMETERS}
+    values: Json = {name: getattr(scene, name) for name in Scene.PARAMETERS}
     values |= {"shape": scene.lattice.shape, "law": str(scene.law), "seed": scene.seeds[0], "replicas": scene.replicas}
     if scene.lattice.dimension == 2:
         del values["direction"]  # which has no meaning there
@@ -337,7 +337,7 @@ def _monitors(callback: Callable[[Check], bool | None] | None) -> list[Monitor]:
     if not callable(callback):
         raise InputError(f"callback is {shown(callback)}; it must be a function that takes a Check")
 
-    def plain(values: np.ndarray) -> Any:
+    def plain(values: np.ndarray) -> float | np.ndarray:
         """Return the values of all samples, (samples,), or the number of a single one."""
         return values if len(values) > 1 else float(values[0])
 

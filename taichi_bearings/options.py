@@ -27,13 +27,7 @@ class Kind:
     known: Collection[str] = ()
 
     def __init__(self, read: Reader, allowed: str, metavar: str) -> None:
-        """Take what the kind is made of.
-
-        read : function that turns a text or another value into the value of the option; ValueError, TypeError, KeyError
-            or OverflowError if it cannot.
-        allowed : words that complete "it must be ...".
-        metavar : what stands for the value in the help text.
-        """
+        """Store the attributes `read`, `allowed` and `metavar`."""
         self.read, self.allowed, self.metavar = read, allowed, metavar
 
     def named(self, name: str, value: object) -> Any:

@@ -45,10 +45,7 @@ class TerminalLine:
     """
 
     def __init__(self, line: Callable[[], str]) -> None:
-        """Prepare to show; nothing is shown yet.
-
-        line : function that returns the text, called at each writing.
-        """
+        """Prepare to show a `line`; nothing is shown yet."""
         self.line, self._over = line, threading.Event()
         self._thread = threading.Thread(target=self._show, daemon=True)
 

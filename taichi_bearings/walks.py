@@ -87,14 +87,7 @@ class _Kept:
     """
 
     def __init__(self, core: Any, reader: Any, folder: Path, writes: bool) -> None:
-        """Prepare to repeat stored walks and to record new ones; a walk is the list of calls of Taichi's compiled core
-        that translate one kernel.
-
-        core : the compiled module of Taichi.
-        reader : the Python module of Taichi that turns the source of kernels into calls of the core.
-        folder : where files of walks are stored.
-        writes : True if walks that are not stored yet are recorded there.
-        """
+        """Store the attributes; no walk is read yet."""
         self.core, self.reader, self.folder, self.writes = core, reader, folder, writes
         # `_lock` : held while a walk is made, so that there is one at a time
         # `_settings` : settings of the compiler as texts, by the `id` of Taichi's program

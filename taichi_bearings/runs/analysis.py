@@ -87,12 +87,7 @@ class Analysis:
     """
 
     def __init__(self, result: Result, threshold: float | None = None, sample: int = 0) -> None:
-        """Analyse all samples of a result.
-
-        threshold : slip speed, length/time, up to which contacts count as slipless; None for the contact states of the
-            result.
-        sample : number of the sample whose structure is shown.
-        """
+        """Analyse all samples of a result."""
         began, solution, is_one = time.perf_counter(), result.solution, len(result.solution.state) == 1
         if threshold is not None and not 0 < threshold < np.inf:
             raise InputError(f"threshold is {threshold}; it must be a positive, finite slip speed")

@@ -87,12 +87,7 @@ class DaskEngine(LocalEngine):
     """
 
     def __init__(self, client: "Client", work: Work, allowed: Callable[[Unit], float] = lambda unit: math.inf) -> None:
-        """Prepare to use the cluster; no thread is counted yet.
-
-        client : connection to the cluster.
-        work : function that solves a unit, a tuple of samples.
-        allowed : function that returns the seconds that a unit may take.
-        """
+        """Store the attributes; no thread is counted yet."""
         super().__init__(work, 1, allowed)
         self.client, self.workers, self.executor = client, 0, client.get_executor(pure=False)
         self._threads, self._counted_at, self._seen_at = 0, -COUNT_SECONDS, time.monotonic()

@@ -134,12 +134,7 @@ class LocalEngine:
     """
 
     def __init__(self, work: Work, workers: int, allowed: Callable[[Unit], float] = lambda unit: math.inf) -> None:
-        """Begin without processes.
-
-        work : function that solves a unit, a tuple of samples.
-        workers : largest number of units that are solved at a time.
-        allowed : function that returns the seconds that a unit may take.
-        """
+        """Store the attributes, and begin without processes."""
         self.work, self.workers, self.allowed = work, workers, allowed
         self.name = uuid.uuid4().hex
         self.executor: Executor = ThreadPoolExecutor(workers)

@@ -292,13 +292,7 @@ class _OpenScan:
     def __init__(
         self, plan: ScanPlan, folder: Path, part: parts.Part | None = None, monitor: Monitor = lambda _: None
     ) -> None:
-        """Read what the folder holds, and find which samples are missing.
-
-        plan : the samples asked for.
-        folder : folder of the scan.
-        part : part of the scan that is solved alone; None for the whole scan.
-        monitor : function that is called now and then with the progress.
-        """
+        """Read what the folder holds, and find which samples are missing."""
         self.began = time.monotonic()
         self.next_write = self.began + REWRITE  # time at which scan.h5 is to be written again
         self.plan, self.folder, self.monitor = parts.part_of(plan, part), folder, monitor

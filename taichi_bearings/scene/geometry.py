@@ -103,13 +103,7 @@ class _Contacts:
     """
 
     def __init__(self, center: np.ndarray, contact: np.ndarray, radius: np.ndarray, normal: np.ndarray | None) -> None:
-        """Compute distances, directions and masks.
-
-        center : (spheres N, dimensions D), length.
-        contact : (E contacts, 2), numbers of spheres.
-        radius : (N,), length.
-        normal : (E, D), unit vectors of the user, or None.
-        """
+        """Compute distances, directions and masks. `normal` has the unit vectors (E, D) of the user, or is None."""
         self.center, self.contact, self.radius, self.given = center, contact, radius, normal
         self.vector = center[contact[:, 1]] - center[contact[:, 0]]
         self.size, self.reach = np.linalg.norm(self.vector, axis=1), radius[contact].sum(axis=1)

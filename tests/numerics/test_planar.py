@@ -9,7 +9,7 @@ import pytest
 from scipy.ndimage import label
 
 from taichi_bearings.numerics.planar import MinimumCuts, minimum_cuts
-from taichi_bearings.numerics.rings import ring_cuts
+from taichi_bearings.solvers.grid_cuts import ring_cuts
 from tests.cuts import all_cuts
 from tests.exact_interfaces import contacts, lightest, slipping_in_some_and_every
 from tests.scenes import some_of

@@ -125,23 +125,20 @@ def _integer(path: Path, line: int, text: bytes, least: int, most: int) -> int:
     return int(digits)
 
 
+@dataclass
 class _Reader:
     """Reader of the lines of one timestep.
 
-    path : path of the file.
+    path : path of the file, for messages.
     lines : the lines that follow.
     line : number of lines read so far.
     is_rounded : True once a whole number was printed like 1e+06.
     """
 
-    def __init__(self, path: Path, lines: Iterator[bytes], line: int) -> None:
-        """Begin to read a dump at one of its lines.
-
-        path : path of the file, for messages.
-        lines : the lines from there on.
-        line : number of lines before.
-        """
-        self.path, self.lines, self.line, self.is_rounded = path, lines, line, False
+    path: Path
+    lines: Iterator[bytes]
+    line: int
+    is_rounded: bool = False
 
     def read(self, step: int, items: str, most: int, wanted: Callable[[Sequence[str]], list[str]], whole: int) -> Frame:
         """Return the timestep whose lines come next.
