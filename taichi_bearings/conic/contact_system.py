@@ -21,12 +21,11 @@ from typing import Any
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.incidence import number_free
 from taichi_bearings.numerics.double_double import Pair, add, scaled, subtract
-from taichi_bearings.numerics.graphs import odd_pieces
+from taichi_bearings.numerics.graphs import odd_pieces, pieces
 from taichi_bearings.scene.bearing import Bearing
 from taichi_bearings.scene.network import Network
 
@@ -379,10 +378,9 @@ class ContactSystem:
         unknowns (`ends` is not None)."""
         assert self.ends is not None
         below, above = self.ends.compress(chosen, 2).reshape(2, -1)
-        both, size = (below >= 0) & (above >= 0), (self.unknowns, self.unknowns)
-        graph = sparse.coo_matrix((np.ones(both.sum(), dtype=np.int8), (below[both], above[both])), shape=size)
-        count, piece = connected_components(graph, directed=False)
-        return count, piece
+        both = (below >= 0) & (above >= 0)
+        piece = pieces(self.unknowns, below[both], above[both])
+        return int(piece.max(initial=-1)) + 1, piece
 
     def terms(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return all terms of the matrix K^T S K, as four arrays (terms,). An entry of the matrix is the sum of its

@@ -8,12 +8,14 @@ import math
 import time
 from collections import deque
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from taichi_bearings.conic.central_path import Path, balance
 from taichi_bearings.conic.iterate import LEAST_GAP, Iterate
 from taichi_bearings.conic.resolution import Resolved, Surroundings, resolve
+from taichi_bearings.conic.slipless_forces import may_have_several_minima
 from taichi_bearings.kernels.elimination import LANES
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
@@ -61,6 +63,11 @@ class Sample:
     tried: float = np.inf
     resolved: Resolved | None = None
     firm: np.ndarray | None = None
+
+    @cached_property
+    def may_have_several_minima(self) -> bool:
+        """True if frictions repeat, so that the sample may have several minima."""
+        return may_have_several_minima(self.iterate.friction, np.zeros(0, dtype=bool))
 
 
 class Descent:
@@ -197,11 +204,13 @@ class Descent:
     def _near(self, sample: Sample) -> float:
         """Return the relative gap below which the next trial to settle the contact states of a sample comes; 0 if no
         trial comes before the path ends. In large samples each trial that fails is followed by another when the gap has
-        fallen by RETRY_FACTOR; small samples have one or two trials."""
+        fallen by RETRY_FACTOR; small samples have one or two trials. In small samples that may have several minima the
+        first comes at FIRST_SETTLING_GAP, as settling then follows the path on with fewer unknowns."""
+        first = FIRST_SETTLING_GAP if self.small and sample.may_have_several_minima else self.settles_at
         again = sample.tried / RETRY_FACTOR  # infinite before the first trial
         if self.small and math.isfinite(sample.tried):
             again = 0.0 if self._is_last(sample.tried) else self.settles_at / RETRY_FACTOR
-        return min(self.settles_at, again) if self.settles else 0.0
+        return min(first, again) if self.settles else 0.0
 
     def _is_last(self, gap: float) -> bool:
         """Return True if a trial to settle contact states at the relative gap `gap` is the last one of a sample, which

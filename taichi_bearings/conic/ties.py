@@ -94,10 +94,11 @@ def _turning_no_slip(tied: Contraction, difference: np.ndarray) -> np.ndarray:
     for own, some in _blocks(unknowns, entries.row, entries.col):
         if len(own) <= MOST_BLOCK_UNKNOWNS:
             row = np.unique(entries.row[some], return_inverse=True)[1]
-            matrix = np.zeros((int(row.max(initial=0)) + 1, len(own)))
+            matrix = np.zeros((max(int(row.max(initial=0)) + 1, len(own)), len(own)))
             matrix[row, np.searchsorted(own, entries.col[some])] = entries.data[some]
-            _, sizes, vectors = np.linalg.svd(matrix)
-            free = np.append(sizes, np.zeros(len(own) - len(sizes))) < LEAST_TURN
+            # the triangular factor R of Q R has the same kernel, and fewer rows
+            _, sizes, vectors = np.linalg.svd(np.linalg.qr(matrix, "r"))
+            free = sizes < LEAST_TURN
             basis = np.zeros((unknowns, int(free.sum())))
             basis[own] = vectors[free].T
             motions.append(basis)

@@ -102,43 +102,52 @@ class Slipping:
     place: np.ndarray
 
     @classmethod
-    def of(cls, motion: Motion, domain: dict[int, np.ndarray] | None = None) -> Slipping:
+    def of(cls, motion: Motion) -> Slipping:
         """Collect the contacts that can dissipate and do not rest in a motion. Number the domains that can change their
         slips; a domain is a group of spheres that turn as one, since resting contacts join them.
 
         motion : the network, and which contacts rest.
-        domain : by component, the label (N,) of the domain of each sphere; spheres that shall not move have the label
-            of a driven sphere. If None, the domains that the resting contacts of `motion` make.
         """
-        network, unknowns, unknown_of_sphere = motion.network, 0, {}
+        network = motion.network
         slipping = np.flatnonzero(network.counts & ~motion.rests)
-        ends, felt = network.graph.contact.take(slipping, 1), _slipping_components(network, slipping)
-        for k in network.needed:
-            label = motion.domain[k] if domain is None else domain[k]
-            # A domain gets an unknown if a slipping contact joins it to another domain and no sphere of it is driven.
-            pairs = label[ends[:, network.feels[k][slipping]]]
-            is_unknown = np.zeros(int(label.max()) + 1, dtype=bool)
-            is_unknown[pairs[:, pairs[0] != pairs[1]]] = True
-            is_unknown[label[~network.free]] = False
-            unknown_of_sphere[k] = np.where(is_unknown, unknowns + np.cumsum(is_unknown) - 1, -1)[label]
-            unknowns += int(is_unknown.sum())
-        lower, upper = np.full((2, len(slipping)), -1), np.full((2, len(slipping)), -1)
+        felt = _slipping_components(network, slipping)
         difference = [Enclosure.exact(np.zeros(len(slipping))) for _ in range(2)]
-        # Slips, and the unknowns that change them, for both rows of `felt`.
         for slot in range(2):
             for k in network.needed:
                 with_k = np.flatnonzero(felt[slot] == k)
-                if not len(with_k):
-                    continue
-                lower[slot, with_k], upper[slot, with_k] = unknown_of_sphere[k][ends[:, with_k]]
-                difference[slot].put(with_k, motion.difference(k, slipping[with_k]))
+                if len(with_k):
+                    difference[slot].put(with_k, motion.difference(k, slipping[with_k]))
         strength, damping = (
             network.holding.at(slipping),
             network.slope.at(slipping) if network.law.has_viscosity else None,
         )
         place = network.graph.middle(slipping).T
         curved, pair = np.flatnonzero((felt >= 0).all(axis=0)), (difference[0], difference[1])
-        return cls(unknowns, felt, lower, upper, curved, pair, strength, damping, slipping, place)
+        without_unknowns = cls(0, felt, felt, felt, curved, pair, strength, damping, slipping, place)
+        return without_unknowns.over(network, motion.domain)
+
+    def over(self, network: JudgedNetwork, domain: dict[int, np.ndarray]) -> Slipping:
+        """Return a copy with other unknowns: the spins of other domains.
+
+        network : the network of these contacts.
+        domain : by component, the label (N,) of the domain of each sphere; spheres that shall not move have the label
+            of a driven sphere.
+        """
+        ends, unknowns = network.graph.contact.take(self.own, 1), 0
+        lower, upper = np.full((2, len(self.own)), -1), np.full((2, len(self.own)), -1)
+        for k in network.needed:
+            # A domain gets an unknown if a slipping contact joins it to another domain and no sphere of it is driven.
+            label = domain[k]
+            pairs = label[ends[:, network.feels[k][self.own]]]
+            is_unknown = np.zeros(int(label.max()) + 1, dtype=bool)
+            is_unknown[pairs[:, pairs[0] != pairs[1]]] = True
+            is_unknown[label[~network.free]] = False
+            unknown_of_sphere = np.where(is_unknown, unknowns + np.cumsum(is_unknown) - 1, -1)[label]
+            unknowns += int(is_unknown.sum())
+            for slot in range(2):
+                with_k = np.flatnonzero(self.felt[slot] == k)
+                lower[slot, with_k], upper[slot, with_k] = unknown_of_sphere[ends[:, with_k]]
+        return replace(self, unknowns=unknowns, lower=lower, upper=upper)
 
     @cached_property
     def size(self) -> Enclosure:

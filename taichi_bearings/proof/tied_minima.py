@@ -147,10 +147,8 @@ class Constraints:
         np.maximum.at(low, group, least)
         np.minimum.at(high, group, most)
         low, high = low[group], high[group]
-        shortest, longest = (
-            dijkstra(_graph_of_shortest(tail, head, low)),
-            dijkstra(_graph_of_shortest(tail, head, high)),
-        )
+        graph = _Graph.of(tail, head)
+        shortest, longest = dijkstra(graph.with_lengths(low)), dijkstra(graph.with_lengths(high))
         # A path visits each node once, so that its length is a sum of fewer slips than nodes, none of them negative:
         # its relative rounding is below nodes * EPS / 2. Twice EPS for a node also covers that of the products here.
         rounding = max(PATH_ROUNDING, 1 + 2 * EPS * len(shortest))
@@ -161,25 +159,42 @@ class Constraints:
         # slip. Paths through one of them are at least as long as that slip.
         for number in np.unique(group[~slips_at_all & ~rests_at_some]):
             members = np.flatnonzero(group == number)
-            others, starts, limit = group != number, np.unique(tail[members]), high[members] * rounding
-            graph = _graph_of_shortest(tail[others], head[others], low[others], len(shortest))
-            distance = dijkstra(graph, indices=starts, limit=float(limit.max()))  # beyond the limit: infinite
+            starts, limit = np.unique(tail[members]), high[members] * rounding
+            without = graph.with_lengths(np.where(group == number, np.inf, low))
+            distance = dijkstra(without, indices=starts, limit=float(limit.max()))  # beyond the limit: infinite
             rests_at_some[members] = limit <= distance[np.searchsorted(starts, tail[members]), head[members]]
         return rests_at_some, slips_at_all, slips_at_some
 
 
-def _graph_of_shortest(tail: np.ndarray, head: np.ndarray, length: np.ndarray, size: int = 0) -> sparse.csr_array:
-    """Return a directed graph as a sparse matrix (size, size) of lengths. Of several edges from one node to another the
-    shortest is kept. A stored 0 is an edge of length 0; where nothing is stored there is no edge.
+@dataclass(frozen=True)
+class _Graph:
+    """A directed graph whose edges have lengths. Of several edges from one node to another the shortest counts.
 
-    tail, head, length : (edges,), first and last node of each edge, numbers from 0, and its length.
-    size : least number of nodes; there are more if the edges need more."""
-    size = max(size, int(max(tail.max(initial=0), head.max(initial=0))) + 1)
-    order = np.lexsort((length, head, tail))
-    first = np.append(True, (np.diff(tail[order]) != 0) | (np.diff(head[order]) != 0))[: len(order)]
-    kept = order[first]
-    begin = np.searchsorted(tail[kept], np.arange(size + 1))
-    return sparse.csr_array((length[kept], head[kept].astype(np.int32), begin.astype(np.int32)), shape=(size, size))
+    tail, head : (pairs,), first and last node of each pair of nodes that edges join, in the order of a sparse matrix.
+    pair : (edges,), for each edge the number of its pair.
+    nodes : number of nodes, which have the numbers 0, 1, ..."""
+
+    tail: np.ndarray
+    head: np.ndarray
+    pair: np.ndarray
+    nodes: int
+
+    @classmethod
+    def of(cls, tail: np.ndarray, head: np.ndarray) -> _Graph:
+        """Return the graph of edges (edges,) from the nodes `tail` to the nodes `head`."""
+        nodes = int(max(tail.max(initial=0), head.max(initial=0))) + 1
+        pairs, pair = np.unique(tail * nodes + head, return_inverse=True)
+        return cls(*np.divmod(pairs, nodes), pair, nodes)
+
+    def with_lengths(self, length: np.ndarray) -> sparse.csr_array:
+        """Return the matrix (nodes, nodes) of lengths for SciPy's searches. A stored 0 is an edge of length 0; where
+        nothing is stored there is no edge, and a stored infinity is as good as none.
+
+        length : (edges,), the length of each edge; infinite for an edge that is left out."""
+        shortest = np.full(len(self.tail), np.inf)
+        np.minimum.at(shortest, self.pair, length)
+        begin = np.searchsorted(self.tail, np.arange(self.nodes + 1)).astype(np.int32)
+        return sparse.csr_array((shortest, self.head.astype(np.int32), begin), shape=(self.nodes, self.nodes))
 
 
 def tied_states(motion: Motion, contacts: Slipping) -> tuple[np.ndarray, bool | None] | None:
@@ -231,7 +246,7 @@ def _tied_states(
     if held is None or held_locked is None or not (held.any() or not pulls.in_s.all()):
         return None
     # The minimum with these held; then the curvature that excludes other motions; then the states by shortest paths.
-    near = _minimum_with_held(motion, pulls, between, held, saturated, limits)
+    near = _minimum_with_held(contacts, pulls, between, held, saturated, limits)
     if near is None:
         return None
     found, relative_change = near
@@ -428,7 +443,7 @@ def _labels_of_moving(motion: Motion, label: np.ndarray, held: np.ndarray) -> di
 
 
 def _minimum_with_held(
-    motion: Motion,
+    contacts: Slipping,
     pulls: Pulls,
     between: BetweenTwo,
     held: np.ndarray,
@@ -442,13 +457,14 @@ def _minimum_with_held(
     they are. It is a minimum without holding them, too, as known forces cancel on the held domains, and friction of the
     resting contacts, below their limits, balances all other torques.
 
-    motion : the stored spins of one sample, and which contacts rest.
+    contacts : the contacts that slip in the stored spins.
     pulls : the contacts whose friction is at its limit.
     between : domains that two neighbours pull with the same friction.
     held : (2, spheres) mask of the spheres whose domain is held, for either component.
     saturated : contacts without slip whose friction is at its limit.
     limits : the friction of those of them that have it along both components."""
-    near = nearest_minimum(Slipping.of(motion, _labels_of_moving(motion, pulls.slipless_domain, held)))
+    motion = saturated.motion
+    near = nearest_minimum(contacts.over(motion.network, _labels_of_moving(motion, pulls.slipless_domain, held)))
     if near is None:
         return None
     found, relative_change = near
@@ -479,10 +495,12 @@ def _with_oblique(
     held : (2, spheres) mask of the spheres whose domain is held, for either component.
     near : the slipping contacts close to the minimum, and for each the bound."""
     found, relative_change = near
+    label = _labels_of_moving(motion, pulls.locked_domain, held)
+    if not pulls.oblique.any():
+        return found.over(motion.network, label), relative_change
     rests, some = motion.rests.copy(), np.flatnonzero(pulls.in_s | pulls.oblique)
     rests[pulls.own[pulls.oblique]] = False
-    with_oblique = Motion(motion.network, rests) if pulls.oblique.any() else motion
-    slipping = Slipping.of(with_oblique, _labels_of_moving(motion, pulls.locked_domain, held))
+    slipping = Slipping.of(Motion(motion.network, rests)).over(motion.network, label)
     some = some[np.argsort(pulls.own[some])]  # the order of the contacts in `slipping`
     guide, way = limits.guide[some], limits.way[some]
     first, second = (part.at(guide).signed(way) for part in found.difference)
