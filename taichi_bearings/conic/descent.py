@@ -204,9 +204,9 @@ class Descent:
     def _near(self, sample: Sample) -> float:
         """Return the relative gap below which the next trial to settle the contact states of a sample comes; 0 if no
         trial comes before the path ends. In large samples each trial that fails is followed by another when the gap has
-        fallen by RETRY_FACTOR; small samples have one or two trials. In small samples that may have several minima the
-        first comes at FIRST_SETTLING_GAP, as settling then follows the path on with fewer unknowns."""
-        first = FIRST_SETTLING_GAP if self.small and sample.may_have_several_minima else self.settles_at
+        fallen by RETRY_FACTOR; small samples have one or two trials. In samples that may have several minima the first
+        comes at SETTLING_GAP at the latest, as settling then follows the path on with fewer unknowns."""
+        first = max(self.settles_at, SETTLING_GAP) if sample.may_have_several_minima else self.settles_at
         again = sample.tried / RETRY_FACTOR  # infinite before the first trial
         if self.small and math.isfinite(sample.tried):
             again = 0.0 if self._is_last(sample.tried) else self.settles_at / RETRY_FACTOR

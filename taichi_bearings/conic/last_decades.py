@@ -26,9 +26,11 @@ from taichi_bearings.numerics.double_double import Pair, exactly
 # A contact is decided if slip / margin changes faster than the product to this power: halfway between 0 for contacts at
 # their limit, and 1 for contacts that slip or stick.
 DECIDED_EXPONENT = 0.5
-# margin below which a contact can be at its limit (12^3 seeds 110 and 350), and below which one at rest surely is
-LEAST_MARGIN_AT_LIMIT, LOST_MARGIN = 1e-6, 1e-11
-VANISHING_PRODUCT = 1e-20  # below this product a ratio that stays shows that a contact is at its limit
+# A contact is at its limit if its margin falls like a power of the product that differs from 1/2 by less than the first
+# number (it is 1/4 where the margin is as large as a component of a force across its limit; 16^3 spheres with two
+# frictions, seed 0), or if it rests and its margin is below the second one.
+AT_LIMIT_EXPONENTS, LOST_MARGIN = 0.375, 1e-11
+VANISHING_PRODUCT = 1e-20  # below this product the margin shows which contacts are at their limit
 SLIPPING_RATIO = 1e4  # ratio slip / margin above which a contact surely slips
 # A contact surely sticks if its ratio slip / margin is below the first number and falls with the product, and its
 # margin is above the second.
@@ -118,7 +120,7 @@ class LastDecades:
         to_the_end : True to go on until double precision ends, even if all contacts are decided.
         """
         before, last, stalled, fell = self._ratios, self._product, 0, np.ones(len(self.point.friction), dtype=bool)
-        late: tuple[np.ndarray, float] | None = None  # ratios and product at the first point below VANISHING_PRODUCT
+        late: tuple[np.ndarray, float] | None = None  # margins and product at the first point below VANISHING_PRODUCT
         for _ in range(MOST_NEWTON_STEPS):
             ratios, product = self.point.slip_over_margin, self.point.complementarity
             if not product > 0:  # it underflows where coefficients differ by thirty decades
@@ -135,15 +137,15 @@ class LastDecades:
                 self._ratios, self._product = np.zeros_like(before), np.inf
                 if product >= LEAST_PRODUCT or late is None:
                     return (ratios > 1) | (ratios > before)
-                # contacts whose ratio stayed while the product fell by so much may be at their limit
-                fall = abs(np.log(product / late[1]))
-                steady = np.abs(np.log(ratios / late[0])) < DECIDED_EXPONENT * fall
+                # While the product falls, the margin of a contact that slips falls like it, that of one that sticks
+                # stays; at the limit it falls like the root, or the fourth root, of the product.
                 margin, rests = self.point.margin, ratios < 1
-                full = (steady & (margin < LEAST_MARGIN_AT_LIMIT)) | (rests & (margin < LOST_MARGIN))
+                power = np.log(margin / late[0]) / np.log(product / late[1])
+                full = (np.abs(power - 0.5) < AT_LIMIT_EXPONENTS) | (rests & (margin < LOST_MARGIN))
                 self.at_limit = ~self._smooth & full
                 return (ratios > 1) & ~self.at_limit
             if late is None and product < VANISHING_PRODUCT:
-                late = ratios, product
+                late = self.point.margin, product
             # Contacts with so large slips that rounding hides their distance from the cone leave it, if it is decided
             # that they slip.
             far = length(self.point.difference) > max(product / (1000 * EPS), 100 * np.sqrt(product))

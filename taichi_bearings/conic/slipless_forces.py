@@ -26,8 +26,8 @@ LEFT_TORQUE = 1e-10  # torque over the mean friction that may be left: some 1e6 
 # least room over the sum of all torques left; no force has to change by more than that sum to balance them
 MARGIN_PER_TORQUE = 10.0
 # For contacts at their limit, over the friction: least room by which the stiffness of their springs is computed; and
-# the distance from the limit within which a force is set to the limit.
-ROOM_AT_LIMIT, HELD_AT_LIMIT = 1e-5, 1e-9
+# the distance from the limit within which a force is set to the limit, at first and later.
+ROOM_AT_LIMIT, NEAR_LIMIT, HELD_AT_LIMIT = 1e-5, 1e-5, 1e-9
 NOISE_ACROSS = 5e-5  # component of a force at its limit, over the other, that may be noise: above HELD_AT_LIMIT ** 0.5
 # Most balances, each a change of all forces to balance. If a force would exceed its limit, a balance goes SHARE_OF_WAY
 # of the way to the first limit; below the share LEAST_REACH of the whole way the search ends (found by trial).
@@ -273,9 +273,10 @@ def _towards(here: np.ndarray, there: np.ndarray, share: np.ndarray) -> np.ndarr
 
 
 def _without_noise(dual: np.ndarray, limit: np.ndarray) -> np.ndarray:
-    """Return minus the forces (d, n, samples), without noise at contacts that bear all their friction: if such a force
+    """Return minus the forces (d, n, samples), without noise at contacts that bear all their friction. If such a force
     is nearly along one component, the other component is set to 0. (That component falls only like the root of the
-    friction that is left, so it is still large when the force is practically at its limit.)
+    friction that is left, so it is still large when the force is practically at its limit.) Then the force is set to
+    the limit.
 
     dual : (d, n, samples), minus the forces.
     limit : (n, samples), friction of the contacts that may rest at their limit, infinite for others.
@@ -283,19 +284,20 @@ def _without_noise(dual: np.ndarray, limit: np.ndarray) -> np.ndarray:
     Letters: n contacts with up to d slip components.
     """
     along = np.abs(dual) > NOISE_ACROSS * np.abs(dual).max(axis=0)
-    return np.where(along | ~_at_limit(dual, limit), dual, 0.0)
+    near = _at_limit(dual, limit, NEAR_LIMIT)
+    return _cut(np.where(along | ~near, dual, 0.0), limit, NEAR_LIMIT)
 
 
-def _at_limit(dual: np.ndarray, limit: np.ndarray) -> np.ndarray:
-    """Return a mask (n, samples) of the contacts whose force is at or beyond its limit, up to a share HELD_AT_LIMIT of
-    it.
+def _at_limit(dual: np.ndarray, limit: np.ndarray, missed: float) -> np.ndarray:
+    """Return a mask (n, samples) of the contacts whose force is at or beyond its limit, up to a share of it.
 
-    dual : (d, n, samples).
+    dual : (d, n, samples), minus the forces.
     limit : (n, samples), infinite for contacts that are not at their limit.
+    missed : the share.
 
     Letters: n contacts with up to d slip components.
     """
-    found: np.ndarray = np.sqrt((dual**2).sum(axis=0)) > (1 - HELD_AT_LIMIT) * limit
+    found: np.ndarray = np.sqrt((dual**2).sum(axis=0)) > (1 - missed) * limit
     return found
 
 
@@ -347,17 +349,18 @@ def _cut_and_balanced(
     return _cut(duals, limit)
 
 
-def _cut(dual: np.ndarray, limit: np.ndarray | None) -> np.ndarray:
+def _cut(dual: np.ndarray, limit: np.ndarray | None, missed: float = HELD_AT_LIMIT) -> np.ndarray:
     """Return minus the forces, (d, n, samples), with those at or beyond their limit set to exactly that size.
 
     dual : (d, n, samples), minus the forces on n contacts with up to d slip components.
     limit : (n, samples), friction of contacts that may rest at their limit, infinite for others; None if no contact
         does, then nothing changes.
+    missed : the largest share of its limit by which a force that counts as at its limit may be below it.
     """
     if limit is None:
         return dual
     size = np.maximum(np.sqrt((dual**2).sum(axis=0)), TINY)
-    return np.where(_at_limit(dual, limit), dual * (limit / size), dual)
+    return np.where(_at_limit(dual, limit, missed), dual * (limit / size), dual)
 
 
 def _reach(friction: np.ndarray, here: np.ndarray, there: np.ndarray, free: np.ndarray, samples: int) -> np.ndarray:

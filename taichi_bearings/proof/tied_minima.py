@@ -72,6 +72,7 @@ are tied.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -89,13 +90,10 @@ from taichi_bearings.proof.pulls import EPS, Pulls
 from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, TIED, UNDECIDED
 
 # A contact is put into C if its stored friction misses mu F_n by no more than one of these shares, which are tried one
-# after the other. Contacts that miss more than SURELY_FULL leave C again where friction would not balance: a contact
-# that balances one with a slip at an angle of 1e-4 to it misses 5e-9. Friction is taken to be along one component if
-# the other one is below the root of MISSED_ACROSS times the share, over the limit; that is 1.4 times the most that it
-# can be at friction of full size. Wrong choices only make the proof fail.
-MISSED_LIMIT = 1e-6
-MISSED_LIMITS = (MISSED_LIMIT, 1e-5)
-MISSED_ACROSS, SURELY_FULL = 4, 1e-12
+# after the other. Contacts that miss more than SURELY_FULL leave C again where friction would not balance. Friction is
+# taken to be along one component if the other one is below the share MOST_ACROSS of mu F_n. Wrong choices only make the
+# proof fail.
+MISSED_SHARES, SURELY_FULL, MOST_ACROSS = (1e-9, 1e-5), 1e-12, 2e-3
 PATH_ROUNDING = 1 + 1e-12  # factor that covers the rounding of a few products, and of sums along a path of 1000 slips
 
 
@@ -170,31 +168,31 @@ class Constraints:
 class _Graph:
     """A directed graph whose edges have lengths. Of several edges from one node to another the shortest counts.
 
-    tail, head : (pairs,), first and last node of each pair of nodes that edges join, in the order of a sparse matrix.
-    pair : (edges,), for each edge the number of its pair.
-    nodes : number of nodes, which have the numbers 0, 1, ..."""
+    joined : sparse matrix (nodes, nodes) with an entry for each pair of nodes that edges join, from row to column.
+    pair : (edges,), for each edge the number of its entry."""
 
-    tail: np.ndarray
-    head: np.ndarray
+    joined: sparse.csr_array
     pair: np.ndarray
-    nodes: int
 
     @classmethod
     def of(cls, tail: np.ndarray, head: np.ndarray) -> _Graph:
-        """Return the graph of edges (edges,) from the nodes `tail` to the nodes `head`."""
+        """Return the graph of edges (edges,) from the nodes `tail` to the nodes `head`, numbers 0, 1, ..."""
         nodes = int(max(tail.max(initial=0), head.max(initial=0))) + 1
         pairs, pair = np.unique(tail * nodes + head, return_inverse=True)
-        return cls(*np.divmod(pairs, nodes), pair, nodes)
+        row, column = np.divmod(pairs, nodes)
+        begin = np.searchsorted(row, np.arange(nodes + 1)).astype(np.int32)
+        joined = sparse.csr_array((np.ones(len(pairs)), column.astype(np.int32), begin), shape=(nodes, nodes))
+        return cls(joined, pair)
 
     def with_lengths(self, length: np.ndarray) -> sparse.csr_array:
         """Return the matrix (nodes, nodes) of lengths for SciPy's searches. A stored 0 is an edge of length 0; where
         nothing is stored there is no edge, and a stored infinity is as good as none.
 
         length : (edges,), the length of each edge; infinite for an edge that is left out."""
-        shortest = np.full(len(self.tail), np.inf)
-        np.minimum.at(shortest, self.pair, length)
-        begin = np.searchsorted(self.tail, np.arange(self.nodes + 1)).astype(np.int32)
-        return sparse.csr_array((shortest, self.head.astype(np.int32), begin), shape=(self.nodes, self.nodes))
+        found = copy(self.joined)  # SciPy's constructor would check all places again, which takes longer
+        found.data = np.full(len(found.data), np.inf)
+        np.minimum.at(found.data, self.pair, length)
+        return found
 
 
 def tied_states(motion: Motion, contacts: Slipping) -> tuple[np.ndarray, bool | None] | None:
@@ -213,7 +211,7 @@ def tied_states(motion: Motion, contacts: Slipping) -> tuple[np.ndarray, bool | 
     if coefficient is None or motion.torn.any() or not (contacts.size.least > 0).all():
         return None
     # Guess which contacts are saturated; where friction does not balance some of them are left out for another try.
-    for missed in MISSED_LIMITS:
+    for missed in MISSED_SHARES:
         saturated: Saturated | None = Saturated.of(motion, missed)
         while saturated is not None:
             pulls = _pulls(contacts, saturated, coefficient)
@@ -296,7 +294,7 @@ class Saturated:
         network, strength = motion.network, motion.network.holding.value
         parts = np.abs([network.moment[k].high for k in network.needed])
         mask = motion.rests & (np.hypot(*parts) >= (1 - missed) * strength) & network.counts
-        along = (parts == parts.max(axis=0)) | (parts > (MISSED_ACROSS * missed) ** 0.5 * strength)
+        along = (parts == parts.max(axis=0)) | (parts > MOST_ACROSS * strength)
         return cls(motion, mask, mask & along)
 
     @property
