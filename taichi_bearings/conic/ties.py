@@ -94,15 +94,24 @@ def _turning_no_slip(tied: Contraction, difference: np.ndarray) -> np.ndarray:
     for own, some in _blocks(unknowns, entries.row, entries.col):
         if len(own) <= MOST_BLOCK_UNKNOWNS:
             row = np.unique(entries.row[some], return_inverse=True)[1]
-            matrix = np.zeros((max(int(row.max(initial=0)) + 1, len(own)), len(own)))
+            matrix = np.zeros((int(row.max(initial=0)) + 1, len(own)))
             matrix[row, np.searchsorted(own, entries.col[some])] = entries.data[some]
-            # the triangular factor R of Q R has the same kernel, and fewer rows
-            _, sizes, vectors = np.linalg.svd(np.linalg.qr(matrix, "r"))
-            free = sizes < LEAST_TURN
-            basis = np.zeros((unknowns, int(free.sum())))
-            basis[own] = vectors[free].T
+            kernel = _kernel(matrix)
+            basis = np.zeros((unknowns, kernel.shape[1]))
+            basis[own] = kernel
             motions.append(basis)
     return np.concatenate(motions, axis=1)
+
+
+def _kernel(matrix: np.ndarray) -> np.ndarray:
+    """Return orthogonal unit vectors, (n, k), that a matrix (m, n) maps to vectors shorter than LEAST_TURN."""
+    n = matrix.shape[1]
+    if n == 1:
+        return np.ones((1, int(np.linalg.norm(matrix) < LEAST_TURN)))
+    # the triangular factor R of Q R has the same kernel as the matrix, and fewer rows
+    _, sizes, vectors = np.linalg.svd(np.linalg.qr(matrix, "r"))
+    kernel: np.ndarray = vectors[np.append(sizes, np.zeros(n - len(sizes))) < LEAST_TURN].T
+    return kernel
 
 
 def _blocks(unknowns: int, rows: np.ndarray, columns: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:

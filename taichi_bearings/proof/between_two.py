@@ -36,7 +36,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import breadth_first_order
 
+from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.curvature import Slipping
 from taichi_bearings.proof.enclosure import UP
 from taichi_bearings.proof.pulls import Pulls
@@ -92,11 +95,11 @@ class BetweenTwo:
         slots, sets, undecided = [], [], np.zeros(len(pulls.own), dtype=bool)
         for tree in _trees(links):
             root = _farthest(tree)
-            towards_root = _ways(tree, root)
-            if not all(link.opposite[slot] for link, slot in towards_root):
+            outwards = _outwards(tree, root)
+            if not all(link.opposite[slot] for link, slot in outwards):
                 continue
             held[root[0]].append(root[1])
-            for link, slot in towards_root:
+            for link, slot in outwards:
                 slots.append(slot)
                 sets.append(link.contacts)
                 undecided[link.contacts] = True
@@ -194,48 +197,49 @@ def _closed(pulls: Pulls, links: list[Link]) -> list[Link]:
 
 
 def _trees(links: list[Link]) -> list[list[Link]]:
-    """Return the trees of a graph, each as a list of its links in an order in which every link but the first shares a
-    node with one before it. Connected parts with a loop are left out.
+    """Return the trees of a graph, each as a list of its links. Connected parts with a loop are left out.
 
     links : the edges of the graph; each connects two nodes, a slipless domain of either component."""
-    found, left = [], links
-    while left:
-        nodes, tree = set(left[0].nodes), [left[0]]
-        left = left[1:]
-        while more := [link for link in left if nodes.intersection(link.nodes)]:
-            tree += more
-            nodes.update(node for link in more for node in link.nodes)
-            left = [link for link in left if link not in more]
-        if len(nodes) == len(tree) + 1:
-            found.append(tree)
-    return found
+    nodes, ends = _numbered(links)
+    piece = pieces(len(nodes), *ends)
+    of_link = piece[ends[0]].tolist()
+    trees = np.bincount(piece) == np.bincount(of_link) + 1  # a tree has one node more than links
+    return [
+        [link for link, own in zip(links, of_link, strict=True) if own == number] for number in np.flatnonzero(trees)
+    ]
+
+
+def _numbered(links: list[Link]) -> tuple[list[Node], np.ndarray]:
+    """Return the nodes of links (slipless domains of one component) as a list, and the numbers of the two nodes of each
+    link in it, (2, links).
+
+    links : the links."""
+    nodes = list(dict.fromkeys(node for link in links for node in link.nodes))
+    number = {node: i for i, node in enumerate(nodes)}
+    return nodes, np.array([[number[node] for node in link.nodes] for link in links], dtype=int).reshape(-1, 2).T
+
+
+def _outwards(tree: list[Link], root: Node) -> list[tuple[Link, int]]:
+    """Return each link of a tree with the component (0 or 1) of that of its two nodes which is nearer to the root.
+    Links come in the order in which a search from the root finds them.
+
+    tree : its links.
+    root : one of its nodes."""
+    nodes, ends = _numbered(tree)
+    graph = sparse.csr_array((np.ones(len(tree)), tuple(ends)), shape=(len(nodes), len(nodes)))
+    order, before = breadth_first_order(graph, nodes.index(root), directed=False)
+    link_of = {link.nodes: link for link in tree}  # by its nodes, that of component 0 first
+    near_and_far = [(nodes[before[number]], nodes[number]) for number in order[1:]]
+    return [(link_of[min(pair), max(pair)], pair[0][0]) for pair in near_and_far]
 
 
 def _farthest(tree: list[Link]) -> Node:
     """Return the node of a tree that moves farthest if its links move along their lines. (A node is a slipless domain
     of one component; a link connects one of either component, and moves along the direction of its slips.)
 
-    tree : its links, every one but the first shares a node with one before it."""
+    tree : its links."""
     moves = {tree[0].nodes[0]: 1.0}
-    for link in tree:
-        known = next(slot for slot in range(2) if link.nodes[slot] in moves)
+    for link, near in _outwards(tree, tree[0].nodes[0]):
         with np.errstate(divide="ignore", invalid="ignore"):  # a line along one component has no slip along the other
-            moves[link.nodes[1 - known]] = moves[link.nodes[known]] * np.divide(link.size[1 - known], link.size[known])
+            moves[link.nodes[1 - near]] = moves[link.nodes[near]] * np.divide(link.size[1 - near], link.size[near])
     return max(moves, key=lambda node: moves[node])
-
-
-def _ways(tree: list[Link], root: Node) -> list[tuple[Link, int]]:
-    """Return each link of a tree with the component (0 or 1) of that of its two nodes which is nearer to the root.
-
-    tree : its links.
-    root : one of its nodes."""
-    reached, found, left = {root}, [], tree
-    while left:
-        for link in left:
-            near = [slot for slot in range(2) if link.nodes[slot] in reached]
-            if near:
-                found.append((link, near[0]))
-                reached.update(link.nodes)
-        done = [id(link) for link, _ in found]
-        left = [link for link in left if id(link) not in done]
-    return found

@@ -49,7 +49,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 
 from taichi_bearings.dissection import Part
 from taichi_bearings.numerics.graphs import pieces
@@ -538,16 +538,13 @@ def _clusters(contacts: Slipping) -> sparse.csr_array:
     low, high = np.minimum(first, second)[apart][order], np.maximum(first, second)[apart][order]
     last = np.unique((low * source + high)[::-1], return_index=True)[1]
     low, high, slip = low[::-1][last], high[::-1][last], slip[apart][order][::-1][last]
-    places = (low.astype(np.int32), high.astype(np.int32))  # which SciPy before 1.17 asks for
-    graph = sparse.csr_array((slip, places), shape=(source + 1, source + 1))
-    # A tree of the stiffest contacts in each cluster, with a head: the driven node if it is there, else the first
-    # unknown.
-    trees = minimum_spanning_tree(graph).tocoo()
-    label = connected_components(trees, directed=False)[1]
-    heads = np.unique(label[:source], return_index=True)[1]
-    heads[label[heads] == label[driven]] = driven
-    row, column = np.append(trees.row, np.full(len(heads), source)), np.append(trees.col, heads)
-    linked = sparse.csr_array((np.ones(len(row), dtype=np.int8), (row, column)), shape=(source + 1, source + 1))
+    # A tree of the stiffest contacts in each cluster, with an edge from its head to the source. Edges to the source are
+    # longer than all slips; that of the driven node is the shortest of them, so that it is the head of its cluster.
+    everything, longest = np.arange(source), slip.max(initial=1.0)
+    to_source = (2 + np.append(everything[1:], 0)) * longest
+    row, column = np.append(low, everything).astype(np.int32), np.append(high, np.full(source, source, dtype=np.int32))
+    graph = sparse.csr_array((np.append(slip, to_source), (row, column)), shape=(source + 1, source + 1))
+    linked = minimum_spanning_tree(graph)
     # The neighbour of each unknown that is next on the way to the head of its cluster; the source beyond the head.
     next_to_head = breadth_first_order(linked, source, directed=False)[1][: contacts.unknowns]
     # The change of a domain is the sum of the variables on its way to the head, itself first: an entry 1 for each.

@@ -61,7 +61,7 @@ PROVEN_AT_ONCE = 200_000  # most spheres of samples that are proven together
 # What is tried as resting, and by which form minima are enclosed. A wrong choice only makes a proof fail.
 STILL, STILL_IN_PAIRS = 1e-12, 1e-28  # slip over the fastest imposed one that may be 0; by spins in twice the precision
 CLEAR_RATIO = 10  # slip / jump and margin / limit have to differ by this factor, either way, with damping
-MISSED_LIMIT = 1e-6  # largest share of its friction limit by which the stored friction of a slipping contact may miss it
+MISSED_LIMIT = 1e-6  # largest share of the friction limit that the stored friction of a slipping contact may miss
 CLEAR_MARGIN = 1e-3  # (friction margin, limit less friction) / limit, above which a contact may well rest
 STIFFEST = 1e4  # largest weight of a contact off its limit in the form, over the one that it would have at its limit
 ODD_LOOPS = "loops are odd"  # what is missing where spins cannot be given signs such that slips are differences

@@ -47,15 +47,21 @@ The proof
    connect, and each free slipless domain is in balance as a whole (oblique_limits.py, `not_balanced`). Friction of T,
    below all limits, balances the other torques (curvature.py, `bearable`). So T rests at every minimum (theorem 4).
 4. *All minima.* They share this friction. So each differs from u* by a motion that keeps T at rest, turns no slip of S,
-   and lets C slip only along its friction, forward. But for the sign at C, two kinds of motions do so: of welded
-   domains (made of locked ones) as a whole, and of domains along the lines between two others. There are no other ones.
-   For such motions can be subtracted until one locked domain of each welded one stands still, and one of the domains
-   that move together along lines. The rest of the motion turns no slip of S and of no oblique contact, so the power has
-   no curvature along it, with oblique contacts counted as if they slipped. But it is proven to have curvature along
-   every motion with these domains held (curvature.py, `rises`). So the rest is 0. Contacts whose slips change by
-   motions along lines stay undecided, unless it is proven that the domains do not move. For all others the minima are
-   the motions y of welded domains in which no contact of S and C slips backwards: t + y_upper - y_lower >= 0, with
-   signs.
+    and lets C slip only along its friction, forward. But for the sign at C, two kinds of motions do so: of welded
+    domains (made of locked ones) as a whole, and of domains along the lines between two others. There are no others.
+    Without oblique contacts the reason is this. The equations of `not_balanced` prove the balance of each firm domain,
+    one after the other. So every motion of firm domains is a sum of two: s moves slipless domains as a whole, g groups.
+    g changes no slip that has both components, as its ends are in one group. If a slip has one of them, g does not
+    change the other one: the whole motion must not, and s does not, as both ends are in one slipless domain. So s turns
+    no slip, either, and the power is constant along it. By step 2 it is a sum of motions of welded domains and along
+    lines. The whole motion less those along lines then changes no slip of a turning contact in its component, and so
+    moves welded domains as a whole. With oblique contacts, motions of both kinds are subtracted until one locked domain
+    of each welded one stands still, and one of the domains that move together along lines. The rest of the motion turns
+    no slip of S and of no oblique contact. But it is proven that the power, with oblique contacts counted as if they
+    slipped, has curvature along every motion with these domains held (curvature.py, `rises`). So the rest is 0.
+    Contacts whose slips change by motions along lines stay undecided, unless it is proven that the domains do not move.
+    For all others the minima are the motions y of welded domains in which no contact of S and C slips backwards:
+    t + y_upper - y_lower >= 0, with signs.
 5. *States.* These are constraints of shortest paths. A contact is an edge of length t: from the welded domain at its
    upper end to that at its lower end, or the other way round if its slip is negative (tail and head in the code). A
    contact of S rests at some minimum if no other path from its tail to its head is shorter than t, and at none if one
@@ -243,12 +249,12 @@ def _tied_states(
     held_locked = _spheres_to_hold(pulls, pulls.locked_domain, pulls.welded_locked, between, movable)
     if held is None or held_locked is None or not (held.any() or not pulls.in_s.all()):
         return None
-    # The minimum with these held; then the curvature that excludes other motions; then the states by shortest paths.
+    # The minimum with these held; with oblique contacts the curvature that excludes other motions; states by paths.
     near = _minimum_with_held(contacts, pulls, between, held, saturated, limits)
     if near is None:
         return None
     found, relative_change = near
-    if not pulls.in_s.all():
+    if pulls.oblique.any():
         undecided = _undecided(pulls, between, movable, near)
         if undecided is None or not rises(*_with_oblique(motion, pulls, limits, held_locked, near)):
             return None
@@ -493,11 +499,9 @@ def _with_oblique(
     held : (2, spheres) mask of the spheres whose domain is held, for either component.
     near : the slipping contacts close to the minimum, and for each the bound."""
     found, relative_change = near
-    label = _labels_of_moving(motion, pulls.locked_domain, held)
-    if not pulls.oblique.any():
-        return found.over(motion.network, label), relative_change
     rests, some = motion.rests.copy(), np.flatnonzero(pulls.in_s | pulls.oblique)
     rests[pulls.own[pulls.oblique]] = False
+    label = _labels_of_moving(motion, pulls.locked_domain, held)
     slipping = Slipping.of(Motion(motion.network, rests)).over(motion.network, label)
     some = some[np.argsort(pulls.own[some])]  # the order of the contacts in `slipping`
     guide, way = limits.guide[some], limits.way[some]

@@ -8,7 +8,7 @@ from scipy.optimize import linprog
 from taichi_bearings_studies.stress import truth
 
 import taichi_bearings as tb
-from taichi_bearings.proof.between_two import BetweenTwo, Link, _farthest, _trees, _ways
+from taichi_bearings.proof.between_two import BetweenTwo, Link, _farthest, _outwards, _trees
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.proof.oblique_limits import ObliqueLimits, not_balanced
 from taichi_bearings.proof.pulls import Pulls
@@ -249,7 +249,7 @@ def test_links_that_share_domains_make_trees():
     assert [len(tree) for tree in trees] == [2, 1]
     # A motion of 1 in the first component moves domain 1 by 2 and domain 2 by 1/3 in the second one.
     assert _farthest(trees[0]) == (1, 1)
-    assert [(of.nodes[1][1], slot) for of, slot in _ways(trees[0], (1, 1))] == [(1, 1), (2, 0)]
+    assert [(of.nodes[1][1], slot) for of, slot in _outwards(trees[0], (1, 1))] == [(1, 1), (2, 0)]
     assert _farthest(trees[1]) == (1, 9)
 
 
