@@ -74,7 +74,7 @@ class Spheres:
             normal = np.array(AXES[axis[1]]) * (1 if axis[0] == "+" else -1)
             sign = -signs[sphere]  # of the neighbour
             if not isinstance(other, int):
-                centers.append(centers[sphere] + normal)
+                centers.append(np.array([0.0, 0.0, 10.0 + len(centers)]))  # anywhere, as normals are given
                 spin.append([sign * part for part in (*other, 0)])
             pairs.append((sphere, other if isinstance(other, int) else len(centers) - 1))
             normals.append(normal)
@@ -128,10 +128,27 @@ def test_contacts_that_share_a_domain_with_one_that_moves_along_a_line_stay_unde
     assert forged.known[-1] == SLIPPING
 
 
+def test_with_oblique_contacts_the_power_has_to_rise_along_all_other_motions(monkeypatch):
+    """Both spheres are at the end of a line, where they rest on a second neighbour, and on each other: with friction
+    along y alone, so that they move together along x, but not along y. They can go back along both lines."""
+    contacts = [
+        (0, "-z", 5, (-8, -6)), (0, "+z", 5, (0, 0)), (0, "+z", 1, 1), (0, "+x", 1, (0, 20)),
+        (1, "-z", 5, (-6, -8)), (1, "+z", 5, (0, 0)), (1, "-x", 1, (0, -30)),
+    ]  # fmt: skip
+    forces = [(-4, -3), (4, 3), (0, -1), (0, 1), (-3, -4), (3, 4), (0, -1)]
+    forged = Spheres([(0, 0, 0), (0, 0, 1)], contacts, [(0, 0), (0, 0)], forces)
+    assert forged.is_minimum([(0, 0), (0, 0)], forces)
+    assert forged.is_minimum([(-3, -2.25), (-3, -4)], forces)
+    assert all(forged.slipping([(-3, -2.25), (-3, -4)]))
+    assert set(forged.known) == {UNDECIDED}
+    monkeypatch.setattr(tied_minima, "rises", lambda *_: True)
+    assert [forged.known[number] for number in (1, 2, 5)] == [SLIPLESS] * 3
+
+
 @pytest.mark.parametrize("seed", [3, 7, 19])
 @pytest.mark.usefixtures("taichi_runtime")
 def test_without_oblique_contacts_balance_implies_that_the_power_rises(monkeypatch, seed):
-    """Step 4 of the proof: `rises` has not to be asked there. It is True in minima with contacts at their limit."""
+    """Step 4 of the proof: there `rises` need not be asked. It is True at minima with contacts at their limit."""
     seen, minimum_with_held = [], tied_minima._minimum_with_held
     monkeypatch.setattr(tied_minima, "_minimum_with_held",
                         lambda *given: seen.append((given, minimum_with_held(*given))) or seen[-1][1])  # fmt: skip
