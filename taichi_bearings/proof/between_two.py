@@ -90,25 +90,23 @@ class BetweenTwo:
         pulls : the n contacts whose friction is at its limit.
         contacts : slips of those of them that slip."""
         links = _closed(pulls, _links(pulls, contacts, _where_known_pulls_cancel(pulls)))
-        held: tuple[list[int], list[int]] = ([], [])
-        labels: tuple[list[int], list[int]] = ([], [])
-        slots, sets, undecided = [], [], np.zeros(len(pulls.own), dtype=bool)
+        # Trees of links that surely lie between their neighbours, along the component of their node nearer to the root.
+        roots, nodes, outwards = set[Node](), set[Node](), list[tuple[Link, int]]()
         for tree in _trees(links):
             root = _farthest(tree)
-            outwards = _outwards(tree, root)
-            if not all(link.opposite[slot] for link, slot in outwards):
-                continue
-            held[root[0]].append(root[1])
-            for link, slot in outwards:
-                slots.append(slot)
-                sets.append(link.contacts)
-                undecided[link.contacts] = True
-            # Contacts that slip along one component alone, at a node that moves.
-            for slot, label in dict.fromkeys(node for link in tree for node in link.nodes):
-                labels[slot].append(label)
-                changes = pulls.felt[slot] & ~pulls.turned_by[slot]
-                undecided |= changes & pulls.touches(pulls.slipless_domain[slot], label)
-        return cls(_arrays(labels), _arrays(held), np.array(slots, dtype=int), sets, undecided)
+            if all(link.opposite[near] for link, near in _outwards(tree, root)):
+                roots.add(root)
+                nodes.update(node for link in tree for node in link.nodes)
+                outwards += _outwards(tree, root)
+        # Undecided are the contacts of these links, and those along one component alone at a node that moves.
+        undecided = np.zeros(len(pulls.own), dtype=bool)
+        for link, _ in outwards:
+            undecided[link.contacts] = True
+        for slot, label in nodes:
+            changes = pulls.felt[slot] & ~pulls.turned_by[slot]
+            undecided |= changes & pulls.touches(pulls.slipless_domain[slot], label)
+        slots, sets = np.array([near for _, near in outwards], dtype=int), [link.contacts for link, _ in outwards]
+        return cls(_labels(nodes), _labels(roots), slots, sets, undecided)
 
     def lie_between(self, pulls: Pulls, contacts: Slipping, relative_change: np.ndarray) -> bool:
         """Return True if each link (spheres between two groups that pull them in opposite directions) is proven to lie
@@ -126,9 +124,10 @@ class BetweenTwo:
         return True
 
 
-def _arrays(lists: tuple[list[int], list[int]]) -> tuple[np.ndarray, np.ndarray]:
-    """Return two lists of whole numbers as arrays."""
-    return np.array(lists[0], dtype=int), np.array(lists[1], dtype=int)
+def _labels(nodes: set[Node]) -> tuple[np.ndarray, np.ndarray]:
+    """Return for either component the labels of the nodes of it, two arrays."""
+    first, second = (np.array(sorted(label for slot, label in nodes if slot == k), dtype=int) for k in range(2))
+    return first, second
 
 
 def _where_known_pulls_cancel(pulls: Pulls) -> np.ndarray:
