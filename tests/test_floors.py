@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 FLOOR = {
-    "errors": 0, "version": 0, "citation": 0, "devices": 0, "stages": 0, "words": 0, "read_only": 0, "later": 0,
+    "errors": 0, "version": 0, "devices": 0, "stages": 0, "words": 0, "read_only": 0, "later": 0,
     "leaving": 0, "dissection": 0,
     "interrupts": 1, "memory": 1, "plain_files": 1, "progress": 1, "text_lines": 2, "walks": 2,
     "compiler": 2, "copies": 2, "hdf5": 2, "options": 2, "lattice": 2, "runtime": 3,

@@ -4,9 +4,9 @@ import json
 import re
 
 import yaml
+from taichi_bearings_cli import cite
 
 import taichi_bearings
-from taichi_bearings import citation
 from tests.cli.commands import bearings
 from tests.handbook.pages import ROOT
 from tests.handbook.test_site import tomllib
@@ -68,8 +68,8 @@ def test_every_citation_of_the_journal_article_is_in_its_list():
 
 
 def test_the_package_carries_the_citation():
-    assert citation.cff() == text("CITATION.cff")
-    assert bearings("cite", "--format", "cff").stdout == citation.cff()
+    assert cite.cff() == text("CITATION.cff")
+    assert bearings("cite", "--format", "cff").stdout == cite.cff()
 
 
 def test_bibtex_says_what_the_file_says():
