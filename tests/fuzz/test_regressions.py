@@ -16,7 +16,7 @@ from tests.fuzz.damage import claiming, line_of
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="fuzzed on POSIX")
 RUN, SCAN, CHECKPOINT = "flat/run.h5", "scan/scan.h5", "resumable/checkpoint.h5"
 ANALYSE, VERIFY = ("analyse", "{}", "--no-figures"), ("verify", "{}")
-RESUME = ("run", "--resume", "{}", "--time-limit", "1")
+RESUME = ("run", "--resume", "{}", "--time-limit", "100")
 HISTOGRAM, FIGURE = ("histogram", "{}", "--out", "{}/out"), ("plot", "scan", "{}", "--y", "gap", "--x", "L")
 
 
