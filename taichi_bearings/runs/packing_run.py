@@ -106,9 +106,7 @@ class PackingRuns(RunKind):
         """
         settings = fitting(settings, strict=False)
         packing_of(settings)
-        if not has_seeds or settings.packing is None or settings.initial == "random":
-            return
-        if _has_all(settings, Packing.read(settings.packing, settings.contacts)):
+        if has_seeds and settings.packing is not None and self.idle_seed(settings):
             raise InputError(
                 f"seed is scanned, but {settings.packing} holds all coefficients, so nothing is drawn; leave out seed, "
                 "or friction from the file"
