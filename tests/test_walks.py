@@ -128,8 +128,8 @@ class Linear(Law):
     def steepest(self, of, slip): return FACTOR * of[0]
 LAWS["linear"] = Linear("linear", (Quantity("damping", "force*time/length"),), minimises="potential")
 @ti.func
-def pull(spin_difference: ti.template(), coefficients: ti.template(), sharpness):
-    return [FACTOR * d * coefficients[0] for d in ti.static(spin_difference)]
+def pull(spin_difference: ti.template(), coefficients: ti.template(), radius):
+    return [FACTOR * radius * d * coefficients[0] for d in ti.static(spin_difference)]
 FORCES["linear"] = pull
 kept = []
 write = walks._write

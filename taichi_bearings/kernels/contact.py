@@ -14,8 +14,12 @@ import textwrap
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import numpy as np
+
 from taichi_bearings.compiler import ti
 from taichi_bearings.errors import InputError
+from taichi_bearings.fields import on_device
+from taichi_bearings.kernels.memory import VALUES
 
 
 @ti.func
@@ -137,3 +141,68 @@ def _unknown_to_vectors(force: Callable[..., Any]) -> Iterator[str]:
             yield "abs"
         elif isinstance(node, ast.UnaryOp) and not isinstance(node.operand, ast.Constant):
             yield "a minus sign before a term (write 0.0 - term)"
+        elif isinstance(node, (ast.If, ast.IfExp, ast.While)) and not _is_static(node.test):
+            yield f"{'while' if isinstance(node, ast.While) else 'if'} (use ti.select)"
+
+
+def _is_static(test: ast.expr) -> bool:
+    """Return True if a condition is one that Taichi evaluates while it compiles, ti.static(...).
+
+    test : the condition in the source.
+    """
+    return isinstance(test, ast.Call) and isinstance(test.func, ast.Attribute) and test.func.attr == "static"
+
+
+@ti.data_oriented
+class ForceTrial:
+    """A kernel that evaluates a force law at single contacts.
+
+    force_law : Taichi function, such as one of `FORCES`.
+    """
+
+    def __init__(self, force_law: Callable[..., Any]) -> None:
+        """Store the force law."""
+        self.force_law = force_law
+
+    @ti.kernel
+    def write(self, differences: VALUES, coefficients: VALUES, radii: VALUES, forces: VALUES, count: int):
+        """Write the forces of contacts, three numbers each: that along a spin difference of one component, and both
+        components of that along a difference of the same length which is divided as 0.6 and 0.8.
+
+        differences : (count,), lengths of the spin differences, 1/time.
+        coefficients : (count,), the coefficient of the law.
+        radii : (count,), radius of the spheres.
+        forces : (3 count,), output.
+        """
+        for k in range(count):
+            d = differences[k]
+            one = self.force_law([d], [coefficients[k]], radii[k])
+            two = self.force_law([0.6 * d, 0.8 * d], [coefficients[k]], radii[k])
+            forces[3 * k], forces[3 * k + 1], forces[3 * k + 2] = one[0], two[0], two[1]
+
+
+def check_force(law: str, trial: ForceTrial, slip: np.ndarray, coefficient: np.ndarray, radius: float,
+                force: np.ndarray) -> None:  # fmt: skip
+    """Raise InputError if the compiled force of a law of one's own differs from the `force` of its class.
+
+    law : name of the law.
+    trial : the kernel that evaluates the compiled force.
+    slip : (n,), slip speeds of n contacts that are tried.
+    coefficient : (n,), their coefficients.
+    radius : radius of the spheres.
+    force : (n,), the force by the class of the law.
+    """
+    found = on_device(np.zeros(3 * len(slip)))
+    arrays = (on_device(values) for values in (slip / radius, coefficient, np.full(len(slip), radius)))
+    trial.write(*arrays, found, len(slip))
+    computed = np.reshape(found if isinstance(found, np.ndarray) else found.to_numpy(), (-1, 3))
+    missed = np.abs(computed - force[:, None] * (1.0, 0.6, 0.8))
+    for n in np.flatnonzero(~(missed <= SAME_FORCE * force[:, None] + SAME_FORCE**2 * force.max()).all(axis=1)):
+        raise InputError(
+            f"law is {law!r}, whose compiled force at slip {slip[n]:g} and coefficient {coefficient[n]:g} is "
+            f"{computed[n, 0]:g}, or ({computed[n, 1]:g}, {computed[n, 2]:g}) along (0.6, 0.8), but the `force` of its "
+            f"class is {force[n]:g} there; both must be the same"
+        )
+
+
+SAME_FORCE = 1e-3  # relative difference that both forces may have, in single precision

@@ -225,15 +225,12 @@ def check_law(law: Law, coefficients: Coefficients, fastest: float) -> None:
     * the force grows with the slip;
     * force times slip is the power;
     * phi(v) + phi*(f) = f v for f = F(v), and phi(v) + phi*(f) >= f v for all other pairs, forces beyond the largest
-      F(v) included: there phi* may be infinite.
+      F(v) included: there phi* may be infinite;
+    * `steepest`, if the law defines it, is no less than a slope of the force;
+    * all functions are 0 at contacts that take no part, where the coefficients are 0.
     """
     _check_objective(law)
-    # each slip at each of some contacts whose coefficients are all positive: arrays (slips, contacts tried)
-    acting = np.flatnonzero(np.all([values.ravel() > 0 for values in coefficients], axis=0))
-    some = acting[np.unique(np.linspace(0, len(acting) - 1, min(len(acting), CONTACTS_TRIED)).astype(int))]
-    slip = np.append(0.0, fastest * np.logspace(-9, 3, 49))[:, None]
-    at = tuple(np.broadcast_to(values.ravel()[some], (len(slip), len(some))) for values in coefficients)
-    speed = np.broadcast_to(slip, at[0].shape)
+    at, speed = _tried(coefficients, fastest)
     with np.errstate(all="ignore"):
         # potential + conjugate less f v: `missed` for the force of each slip, `pairs` for forces of other slips
         force, power, potential = (function(at, speed) for function in (law.force, law.power, law.potential))
@@ -253,6 +250,9 @@ def check_law(law: Law, coefficients: Coefficients, fastest: float) -> None:
             "its power must be force times slip": np.abs(power - work) > TERM_ROUNDING * np.abs(work),
             "potential(v) + conjugate(force(v)) must be force(v) * v": np.abs(missed) > TERM_ROUNDING * size,
             "potential(v) + conjugate(f) must be at least f * v": np.min(pairs, axis=0) < -TERM_ROUNDING * size,
+            "its `steepest` must be at least the slope of its force at all slips up to this one": _steeper(
+                law, at, speed
+            ),
             **_wrong_beyond(law, at, speed),
         }
         if law.minimises == "power":
@@ -268,6 +268,55 @@ def check_law(law: Law, coefficients: Coefficients, fastest: float) -> None:
                 f"law is {law.name!r}, whose functions contradict each other at a contact with coefficient {given} "
                 f"that slips at {speed[row, column]:g}, or one of them loses digits there: {sentence}"
             )
+    _check_absent(law, fastest)
+
+
+def _tried(coefficients: Coefficients, fastest: float) -> tuple[Coefficients, np.ndarray]:
+    """Return coefficients and slips of S slips at each of E contacts: a tuple of arrays (S, E), and an array (S, E).
+
+    coefficients : those of all contacts, a tuple of arrays; contacts are taken of which all coefficients are positive.
+    fastest : the slips are 0, and 1e-9 to 1e3 times this speed.
+    """
+    acting = np.flatnonzero(np.all([values.ravel() > 0 for values in coefficients], axis=0))
+    some = acting[np.unique(np.linspace(0, len(acting) - 1, min(len(acting), CONTACTS_TRIED)).astype(int))]
+    slip = np.append(0.0, fastest * np.logspace(-9, 3, 49))[:, None]
+    at = tuple(np.broadcast_to(values.ravel()[some], (len(slip), len(some))) for values in coefficients)
+    return at, np.broadcast_to(slip, at[0].shape)
+
+
+def _steeper(law: Law, coefficients: Coefficients, slip: np.ndarray) -> np.ndarray:
+    """Return a mask (S, E), True where the mean slope of the force between two neighbouring slips, up to this one,
+    exceeds what `steepest` returns for this slip; all False for a law that does not define it.
+
+    law : the law, defined by a user.
+    coefficients : its coefficients, a tuple of arrays (S, E).
+    slip : (S, E), for S slips in ascending order, of which the first is 0.
+    """
+    found = np.zeros(slip.shape, dtype=bool)
+    if type(law).steepest is not Law.steepest:
+        force = law.force(coefficients, slip)
+        slope = (np.diff(force, axis=0) - TERM_ROUNDING * force[1:]) / np.diff(slip, axis=0)
+        at_contacts = tuple(values[0] for values in coefficients)
+        largest = np.stack([law.steepest(at_contacts, speed) for speed in slip[1:, 0]])
+        found[1:] = ~(np.maximum.accumulate(slope) <= largest * (1 + TERM_ROUNDING))
+    return found
+
+
+def _check_absent(law: Law, fastest: float) -> None:
+    """Raise InputError for a law of which a function is not 0 at contacts that take no part.
+
+    law : the law, defined by a user.
+    fastest : slip speed at which force, power and potential are tried; the conjugate is tried without a force.
+    """
+    nothing = tuple(np.zeros(1) for _ in law.quantities)
+    with np.errstate(all="ignore"):
+        for name in OVERRIDDEN:
+            value = getattr(law, name)(nothing, np.zeros(1) if name == "conjugate" else np.full(1, fastest))[0]
+            if value != 0:
+                raise InputError(
+                    f"law is {law.name!r}, whose {name} is {value:g} at contacts that take no part, with coefficient "
+                    "0; it must be 0 there, so a division by the coefficient needs np.divide with `where=`"
+                )
 
 
 def _wrong_beyond(law: Law, coefficients: Coefficients, slip: np.ndarray) -> dict[str, np.ndarray]:
@@ -280,8 +329,8 @@ def _wrong_beyond(law: Law, coefficients: Coefficients, slip: np.ndarray) -> dic
     """
     largest, potential = law.force(coefficients, slip)[-1], law.potential(coefficients, slip)
     is_no_number, is_less = np.zeros(slip.shape, dtype=bool), np.zeros(slip.shape, dtype=bool)
-    for share in BEYOND:
-        force = np.broadcast_to(largest * (1 + share), slip.shape)
+    for excess in BEYOND:
+        force = np.broadcast_to(largest * (1 + excess), slip.shape)
         dual, work = law.conjugate(coefficients, force), force * slip
         is_no_number |= np.isnan(dual)
         is_less |= potential + dual - work < -TERM_ROUNDING * (potential + work)

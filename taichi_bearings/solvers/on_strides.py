@@ -5,6 +5,7 @@ of the lattice), E contacts, C carried spin components.
 """
 
 import gc
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -165,13 +166,12 @@ class OnStrides(Stepped, WithMinima):
 
         Raises InputError for a law whose force is not known on the device.
         """
-        from taichi_bearings.kernels.contact import force_on_device  # methods without sweeps need no Taichi
         from taichi_bearings.kernels.cundall_strack import CundallStrackSteps
         from taichi_bearings.kernels.team import Team, made_once
 
         law, numbers = self.scene.law, self.stencil.components + self.stencil.force_components
         team = Team(team_size(self.fields.layout, numbers))
-        own = () if law.is_sum else (force_on_device(law.name),)
+        own = () if law.is_sum else (self._force_law(),)
         return team, made_once(CundallStrackSteps, self.spec, self.stencil, corrector, *own)
 
     def descent_kernel(self) -> "tuple[Team, Sweeps]":
@@ -179,12 +179,31 @@ class OnStrides(Stepped, WithMinima):
 
         Raises InputError for a law whose force is not known on the device.
         """
-        from taichi_bearings.kernels.contact import force_on_device
         from taichi_bearings.kernels.descent import DescentSweeps
         from taichi_bearings.kernels.team import Team, made_once
 
         team = Team(team_size(self.fields.layout, self.stencil.components))
-        return team, made_once(DescentSweeps, self.spec, self.stencil, force_on_device(self.scene.law.name))
+        return team, made_once(DescentSweeps, self.spec, self.stencil, self._force_law())
+
+    def _force_law(self) -> Callable[..., Any]:
+        """Return the force of the law as kernels compute it, a Taichi function.
+
+        Raises InputError for a law whose force is not known on the device, or is another there than in its class.
+        """
+        # imported here, because methods without sweeps need no Taichi
+        from taichi_bearings.kernels.contact import ForceTrial, check_force, force_on_device
+        from taichi_bearings.kernels.team import made_once
+
+        scene, law = self.scene, self.scene.law
+        found = force_on_device(law.name)
+        if not law.is_sum:
+            acting = scene.material[0][scene.material[0] > 0]
+            slip = scene.lattice.radius * (scene.jump or 1.0) * np.array([0.01, 0.1, 0.5, 1.0])
+            coefficient = np.repeat([acting.min(), acting.max()], len(slip))
+            slip = np.tile(slip, 2)
+            force = law.force((coefficient,), slip)
+            check_force(law.name, made_once(ForceTrial, found), slip, coefficient, scene.lattice.radius, force)
+        return found
 
     def run(self, team: "Team", sweeps: "Sweeps", launch: Launch) -> None:
         """Call a kernel several times with the same constants.

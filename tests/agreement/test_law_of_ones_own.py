@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 
 from taichi_bearings.compiler import ti
 from taichi_bearings.errors import FileError, InputError
-from taichi_bearings.kernels.contact import FORCES
+from taichi_bearings.kernels.contact import FORCES, length
 from taichi_bearings.runs import run as runs
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.verify import verify
@@ -25,6 +25,7 @@ from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.solvers.table import METHODS, CundallStrack, fastest
 from tests.handbook.pages import ROOT, steps
+from tests.own_laws import FAST, Bounded
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +122,13 @@ def test_cundall_strack_moves_it_as_newton_does(page, shape):
 def test_a_force_that_vectors_do_not_know_is_refused_in_a_sentence(page, monkeypatch):
     """The compiler would end the process without a message."""
     scene = Scene.random((4, 5), law="thickening")
-    for force, used in ((uses_exp, "ti.exp"), (uses_abs, "abs"), (uses_sign, "a minus sign before a term")):
+    refused = {
+        "ti.exp": uses_exp,
+        "abs": uses_abs,
+        "a minus sign before a term": uses_sign,
+        "if (use ti.select)": uses_if,
+    }
+    for used, force in refused.items():
         monkeypatch.setitem(FORCES, "thickening", force)
         with pytest.raises(InputError, match=f"law is 'thickening', whose compiled force uses {re.escape(used)}"):
             solve(scene, METHODS["gradient-descent"]().build(), initial_spin(scene, "linear"), StopRule(1e-6))
@@ -140,6 +147,34 @@ def uses_abs(difference: ti.template(), coefficients: ti.template(), radius):
 @ti.func
 def uses_sign(difference: ti.template(), coefficients: ti.template(), radius):
     return [-(coefficients[0] * d) for d in ti.static(difference)]
+
+
+@ti.func
+def uses_if(difference: ti.template(), coefficients: ti.template(), radius):
+    scale = radius
+    if difference[0] > 1.0:
+        scale = 2.0 * radius
+    return [coefficients[0] * scale * d for d in ti.static(difference)]
+
+
+@ti.func
+def without_radius(difference: ti.template(), coefficients: ti.template(), radius):
+    slip = length(difference)
+    return [coefficients[0] * (1.0 + slip * slip) * d for d in ti.static(difference)]
+
+
+@ti.func
+def by_component(difference: ti.template(), coefficients: ti.template(), radius):
+    return [coefficients[0] * radius * (1.0 + (radius * d) ** 2) * d for d in ti.static(difference)]
+
+
+@pytest.mark.parametrize("method", ["gradient-descent", "cundall-strack"])
+@pytest.mark.parametrize("force", [without_radius, by_component])
+def test_a_compiled_force_that_is_not_that_of_the_class_is_refused(page, monkeypatch, method, force):
+    scene = Scene.random((4, 5), law="thickening")
+    monkeypatch.setitem(FORCES, "thickening", force)
+    with pytest.raises(InputError, match=r"law is 'thickening', whose compiled force at slip .* both must be the same"):
+        solve(scene, METHODS[method]().build(), initial_spin(scene, "linear"), StopRule(1e-6))
 
 
 @pytest.mark.usefixtures("needs_f64")
@@ -203,6 +238,7 @@ WRONG = {
         "potential": lambda self, of, slip: of[0] * (1 + slip**2 / 2)
     },
     "its power must be `share` times its potential": {"share": 1.0},
+    "its `steepest` must be at least the slope": {"steepest": lambda self, of, slip: of[0] * (slip < 1e-5)},
 }  # fmt: skip
 
 
@@ -223,6 +259,33 @@ def test_a_law_that_contradicts_itself_is_refused(sentence):
         Scene.random((3, 4), law=law)
     assert sentence in str(told.value)
     assert "law is 'wrong', whose functions contradict each other at a contact with coefficient" in str(told.value)
+
+
+@pytest.mark.parametrize("wrong", ["a tenth", "none where it bends", "nothing"])
+def test_a_slope_that_is_too_small_is_refused(wrong):
+    """Of a force that grows up to a speed; beyond, only the largest slope so far may be returned."""
+    too_small = {
+        "a tenth": lambda self, of, slip: of[0] / FAST / 10,
+        "none where it bends": lambda self, of, slip: of[0] / FAST * (slip < FAST),
+        "nothing": lambda self, of, slip: 0.0 * of[0],
+    }
+    quantity = (Quantity("limit", "force"),)
+    Scene.random((3, 4), law=Bounded("right", quantity, minimises="potential"))
+    law = type("Flat", (Bounded,), {"steepest": too_small[wrong]})("flat", quantity, minimises="potential")
+    with pytest.raises(InputError, match=r"law is 'flat', .* its `steepest` must be at least the slope of its force"):
+        Scene.random((3, 4), law=law)
+
+
+@pytest.mark.filterwarnings("ignore:invalid value")
+def test_a_conjugate_that_divides_by_the_coefficient_of_an_absent_contact_is_refused():
+    class Naive(Bounded):
+        def conjugate(self, of, force):
+            return np.where(force > of[0], np.inf, FAST * force**2 / (2 * of[0]))
+
+    with pytest.raises(
+        InputError, match=r"law is 'naive', whose conjugate is nan at contacts that take no part, .*where="
+    ):
+        Scene.random((3, 4), law=Naive("naive", (Quantity("limit", "force"),), minimises="potential"))
 
 
 def test_a_scan_refuses_a_law_that_its_processes_would_not_know(page, tmp_path):
