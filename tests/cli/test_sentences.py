@@ -215,7 +215,7 @@ if sys.platform != "win32":
         return session.frames[-1][1]
 
     def test_ctrl_c_before_the_first_result_says_that_nothing_is_kept(tmp_path):
-        said = interrupted("--shape", "6,6,6", "--out", tmp_path / "r", method=("method", "Minimiser"))
+        said = interrupted("--shape", "6,6,6", "--out", tmp_path / "r", method=("minimisers", "Minimiser"))
         assert said == "bearings: interrupted before a first result was reached; nothing is kept"
         assert list(tmp_path.iterdir()) == []
 
