@@ -88,8 +88,8 @@ def _fact(name: str) -> Callable[[Answer], object]:
 
 
 def _of_unique_slips(value_of: Callable[[Answer], object]) -> Callable[[Answer], object]:
-    """Return a function that does what `value_of` does where all states of least power have the same slips (on
-    lattices), and returns None elsewhere (for packings).
+    """Return a function that does what `value_of` does where a contact that slips at every minimum has the same slip at
+    all of them (on lattices), and returns None elsewhere (for packings).
 
     value_of : function of an answer.
     """
@@ -281,13 +281,15 @@ SAMPLES = _named(
                  lambda a: a.solution.states_proven),
         Quantity("unproven", "1", "number of contacts of which it is not proven whether they slip",
                  lambda a: a.solution.unproven),
-        Quantity("largest_slipless_slip", "length/time", "largest slip speed of a contact that counts as slipless",
+        Quantity("largest_slipless_slip", "length/time",
+                 "on lattices, largest slip speed of a contact that counts as slipless",
                  _of_unique_slips(lambda a: a.separation.largest_slipless)),
-        Quantity("smallest_slipping_slip", "length/time", "smallest slip speed of a contact that counts as slipping",
+        Quantity("smallest_slipping_slip", "length/time",
+                 "on lattices, smallest slip speed of a contact that counts as slipping",
                  _of_unique_slips(lambda a: a.separation.smallest_slipping)),
-        Quantity("separation_decades", "1", "log10 of the ratio of two slip speeds, the smallest of a slipping contact"
-                 " and the largest of a slipless one; the rounding of the imposed spins replaces the latter if it is"
-                 " larger",
+        Quantity("separation_decades", "1", "on lattices, log10 of the ratio of two slip speeds, the smallest of a"
+                 " slipping contact and the largest of a slipless one; the rounding of the imposed spins replaces the"
+                 " latter if it is larger",
                  _of_unique_slips(_decades)),
         Quantity("slip_threshold", "length/time", "slip speed up to which a contact counts as slipless; if the user"
                  " gives none, the method chooses one, which decides only where no proof does",

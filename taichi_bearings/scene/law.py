@@ -28,7 +28,8 @@ class Quantity:
     """A coefficient of a law.
 
     name : "friction" or "damping", or another word for messages and labels.
-    unit : unit of the numbers that users give. The unit "1" says that the number times the normal force is a force.
+    unit : unit of the numbers that users give. The unit "1" says that the number times the normal force is a
+        force that a contact bears without slip, as friction does.
     """
 
     name: str

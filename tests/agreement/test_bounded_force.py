@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from taichi_bearings.compiler import ti
 from taichi_bearings.errors import InputError
-from taichi_bearings.kernels.contact import FORCES
+from taichi_bearings.kernels.contact import FORCES, length
 from taichi_bearings.proof.certificate import lower_bound
 from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
@@ -85,6 +86,43 @@ def test_no_forces_prove_more_than_the_least_potential(unit):
         assert bound <= least * (1 + 1e-12)
         best = max(best, bound)
     assert best > (1 - 1e-6) * least
+
+
+def limited(fast):
+    """A law that is bounded beyond the speed `fast`, and its force on the device."""
+
+    class Limited(Bounded):
+        def force(self, of, slip):
+            return of[0] * np.minimum(slip / fast, 1.0)
+
+        def potential(self, of, slip):
+            return of[0] * np.where(slip < fast, slip**2 / (2 * fast), slip - fast / 2)
+
+        def conjugate(self, of, force):
+            return super().conjugate(of, force) * fast / FAST
+
+        def steepest(self, of, slip):
+            return of[0] / fast
+
+    @ti.func
+    def force(difference: ti.template(), coefficients: ti.template(), radius):
+        scale = coefficients[0] * radius / ti.max(radius * length(difference), fast)
+        return [scale * d for d in ti.static(difference)]
+
+    return Limited(NAME, (Quantity("friction", "force"),), minimises="potential"), force
+
+
+@pytest.mark.parametrize("fast", [0.2, FAST, 0.02])
+def test_a_function_that_makes_forces_serves_several_values_in_one_process(fast, monkeypatch):
+    law, force = limited(fast)
+    monkeypatch.setitem(LAWS, NAME, law)
+    monkeypatch.setitem(FORCES, NAME, force)
+    scene = Scene.random((4, 5), seed=1, law=NAME)
+    found = solve(scene, METHODS["gradient-descent"]().build(), initial_spin(scene, "linear"), StopRule(1e-3))
+    assert found.status is Status.CERTIFIED
+    monkeypatch.setitem(FORCES, NAME, limited(2 * fast)[1])
+    with pytest.raises(InputError, match="both must be the same"):
+        solve(scene, METHODS["gradient-descent"]().build(), initial_spin(scene, "linear"), StopRule(1e-3))
 
 
 class Free(Bounded):

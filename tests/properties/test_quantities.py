@@ -79,6 +79,14 @@ def test_every_row_has_a_formula_or_a_reason(table):
     assert not formula & reason
 
 
+def test_numbers_that_only_lattices_have_say_so():
+    """Of slips, which differ between the minima of a packing."""
+    found = tb.solve(tb.Packing.lattice("square", (3, 3), seed=1))
+    missing = {name for name, row in SAMPLES.items() if "slip speed" in row.text and row.of(found) is None}
+    assert missing == {"largest_slipless_slip", "smallest_slipping_slip", "separation_decades"}
+    assert all(SAMPLES[name].text.startswith("on lattices, ") for name in missing)
+
+
 def assert_is(name, said, expected):
     """said : what the table gives of one sample. expected : by a formula."""
     if expected is UNKNOWN:
