@@ -366,9 +366,11 @@ def _pulls(contacts: Slipping, saturated: Saturated, coefficient: np.ndarray) ->
     signs_of_c = np.array([np.sign(saturated.friction(slot).high) * network.sign[k][network.graph.contact[1, in_c]]
                      for slot, k in enumerate(network.needed)])  # fmt: skip
     signs = np.array([np.sign(part.high) for part in contacts.difference])
+    driven = np.flatnonzero(~network.free)
+    alike = [network.graph.driven_alike(k, network.imposed[k].signed(network.sign[k]), driven) for k in network.needed]
     # By component the motion whose resting contacts join spheres to domains of each kind.
     slipless_domain, firm_domain, locked_domain = (
-        np.array([_numbered(joining, k) for joining, k in zip(motions, network.needed, strict=True)])
+        np.array([_numbered(joining, k, of) for joining, k, of in zip(motions, network.needed, alike, strict=True)])
         for motions in (
             [motion] * components,
             [saturated.firm] * components,
@@ -382,19 +384,18 @@ def _pulls(contacts: Slipping, saturated: Saturated, coefficient: np.ndarray) ->
     )  # fmt: skip
 
 
-def _numbered(motion: Motion, k: int) -> np.ndarray:
+def _numbered(motion: Motion, k: int, driven_alike: np.ndarray) -> np.ndarray:
     """Return a label (spheres,) for each sphere, equal for those that resting contacts of a motion join in spin
     component k. The smallest labels, 0, 1, ..., are for spheres joined to driven ones, one label for each imposed spin;
     larger ones are for all others.
 
-    motion : the network, and which of its contacts rest. These join no driven spheres that are driven differently."""
-    network, label = motion.network, motion.domain[k]
-    driven = np.flatnonzero(~network.free)
-    group = network.graph.driven_alike(k, network.imposed[k].signed(network.sign[k]), driven)
+    motion : the network, and which of its contacts rest. These join no driven spheres that are driven differently.
+    driven_alike : (driven spheres,), 0, 1, ...: equal numbers for those with the same imposed spin."""
+    label = motion.domain[k]
     found = np.full(int(label.max()) + 1, -1)
-    found[label[driven]] = group
+    found[label[~motion.network.free]] = driven_alike
     others = np.unique(label[found[label] < 0])
-    found[others] = group.max() + 1 + np.arange(len(others))
+    found[others] = driven_alike.max() + 1 + np.arange(len(others))
     of_spheres: np.ndarray = found[label]
     return of_spheres
 
@@ -559,8 +560,10 @@ def _states_by_paths(
         rests_at_some, slips_at_all, slips_at_some = constraints.limits(least[own], most[own])
         known = np.where(slips_at_all, SLIPPING, np.where(rests_at_some, SLIPLESS, UNDECIDED))
         known[rests_at_some & slips_at_some] = TIED
-        undecided = constraints.sharing_a_domain(between.undecided[own])
-        state[own] = np.where(undecided & (known != TIED), UNDECIDED, known)
+        if between.undecided.any():
+            undecided = constraints.sharing_a_domain(between.undecided[own])
+            known[undecided & (known != TIED)] = UNDECIDED
+        state[own] = known
     found = np.full(count, SLIPLESS)
     found[pulls.own] = state
     tied, unproven = (found == TIED).any(), (found == UNDECIDED).any()
