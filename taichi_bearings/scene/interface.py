@@ -59,12 +59,12 @@ def bearing_states(bearing: Bearing) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def _state(center: np.ndarray, signed_speeds: np.ndarray, own: np.ndarray) -> np.ndarray | None:
-    """Return the bearing state A + c x of a driven body, continued to all spheres, (spheres N, components C),
-    length/time; None if the body is in none.
+    """Return the bearing state A + c x that fits the spheres of a driven body, with c = 0 if that fits, continued to
+    all spheres: (spheres N, components C), length/time. None if no state fits; for discs c is always 0.
 
     center : (N, dimensions D), positions x, length.
     signed_speeds : (N, C), sign * radius * spin, length/time.
-    own : (N,) mask of the spheres of the body, to whose values A and c are fitted. Where c = 0 fits, it is 0.
+    own : (N,) mask of the spheres of the body.
     """
     value = signed_speeds[own][0]
     if (signed_speeds[own] == value).all():
@@ -168,16 +168,16 @@ def _needed_components(bearing: Bearing) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _slack(bearing: Bearing, contact: np.ndarray, across: np.ndarray, states: np.ndarray) -> float:
-    """Return a bound on the error of the sum of the weights of some contacts, energy/time. The weight of a contact is
-    what it adds to the objective, the power or dissipation potential, if it is on the interface of two rigid domains.
+    """Return a bound, energy/time, on the error of the sum of the weights of some contacts: the difference of the sums
+    for slips that are larger and smaller by an error of the slip. The head of this file says what a weight is.
 
     bearing : a lattice or a packing.
     contact : (n,) numbers of the contacts.
     across : (contacts E,) slip of each contact if it is on the interface, length/time.
     states : (2, spheres N, components C), the two bearing states as sign * radius * spin, length/time.
 
-    The states are fitted to the imposed spins. So they are uncertain by rounding, and by the largest difference between
-    a fitted state and an imposed spin.
+    As the states are fitted to the imposed spins, a slip may be wrong by rounding and by the largest difference between
+    a fitted state and an imposed spin. Four times their sum is taken as the error.
     """
     bodies, sign = bearing.network.bodies, bearing.network.sublattices[1]
     signed_speeds, largest = sign[:, None] * bearing.driven_speed, np.abs(states).max()
@@ -185,10 +185,10 @@ def _slack(bearing: Bearing, contact: np.ndarray, across: np.ndarray, states: np
         np.abs(signed_speeds - state)[bearing.network.body == body].max()
         for state, body in zip(states, bodies, strict=True)
     ]
-    off = 4 * (sum(missed) + STATE_ROUNDING * largest)
-    of = tuple(values[0, contact] for values in bearing.material)
-    near, far = (bearing.law.objective(of, np.maximum(across[contact] + by, 0.0)) for by in (-off, off))
-    return float((far - near).sum())
+    error = 4 * (sum(missed) + STATE_ROUNDING * largest)
+    material = tuple(values[0, contact] for values in bearing.material)
+    low, high = (bearing.law.objective(material, np.maximum(across[contact] + by, 0.0)) for by in (-error, error))
+    return float((high - low).sum())
 
 
 def find_interface(bearing: Bearing, replica: int = 0) -> Interface | None:
@@ -234,7 +234,8 @@ def _interface_slips(scene: Scene) -> np.ndarray:
 
 def cut_of(scene: Scene) -> MinimumCut:
     """Return the minimum cuts of all samples of a lattice: the lightest interfaces between a domain that rolls with the
-    bottom and one that rolls with the top. Weights times :func:`cut_unit` are energy/time.
+    bottom and one that rolls with the top. Weights times :func:`cut_unit` are energy/time. If weights are rounded, or
+    an axis is periodic, spheres that may lie on either side of a lightest cut are looked for with exact weights.
 
     scene : the lattice with its R samples.
     """
@@ -267,20 +268,18 @@ def _cut_speed(scene: Scene) -> float:
 
 
 def cut_weights(scene: Scene) -> np.ndarray:
-    """Return the weight (samples R, contacts E) of each contact of a lattice, in units of :func:`cut_unit`,
-    energy/time. The weight is what the contact adds to the objective if one of its spheres rolls with the bottom and
-    the other with the top.
+    """Return the weight (samples R, contacts E) of each contact of a lattice: what the contact adds to the objective if
+    one of its spheres rolls with the bottom and the other with the top. Weights are in units of :func:`cut_unit`.
 
     scene : the lattice with its R samples of E contacts.
 
-    Such a contact slips by r |J x n|, with r the radius, n its axis, and J the difference of the two imposed states at
-    its place. J is taken without the component along the height, which can change from bottom to top layer by layer
-    without any slip. The objective of a viscous contact grows with the square of its slip; with friction and viscosity
-    it is the sum of both parts; that of a law of one's own may depend on it in any way. :func:`cut_rounding` bounds the
-    rounding errors.
+    Such a contact slips by r |J x n|, with r the radius, n its axis, and J the jump at its place (head of this file),
+    without the component along the height. :func:`cut_rounding` bounds the rounding errors of the weights.
     """
     if not scene.law.is_sum:
         return scene.law.objective(scene.material, _interface_slips(scene)) / cut_unit(scene)
+    # friction, viscosity and their sum: slips in units of r * unit and coefficients in units that fit, so that for
+    # friction or viscosity alone in 2D the weight is the coefficient itself, without rounding
     unit = _cut_speed(scene)
     units = (1.0, scene.lattice.radius * unit / scene.normal_force)
     coefficients = tuple(unit * values for unit, values in zip(units, scene.named_coefficients.values(), strict=False))
@@ -293,8 +292,8 @@ def cut_weights(scene: Scene) -> np.ndarray:
 
 
 def cut_unit(scene: Scene) -> float:
-    """Return what an interface of weight 1 adds to the objective, energy/time: the factor that turns the weights of
-    contacts in a cut, which are pure numbers, into power.
+    """Return the factor that turns the weights of contacts in a cut into the objective, energy/time. The weights are
+    pure numbers for laws with friction, and in force * time/length for viscosity alone.
 
     scene : the lattice, with its law and what is imposed on its planes.
 
@@ -306,12 +305,12 @@ def cut_unit(scene: Scene) -> float:
 
 
 def spins_of_two_domains(bearing: Bearing) -> np.ndarray | None:
-    """Return the spins of the two rigid domains at the lightest interface of each sample, (C components, samples R,
-    spheres *N), in the form that solvers store: on lattices with signs that alternate between neighbours and less those
-    of the bottom, 1/time; in packings radius * spin. The components are `bearing.minimum_spin_axes`. None if some
-    sample has no such interface.
+    """Return the spins of the two rigid domains at the lightest interface of each sample, as solvers store them:
+    (components C, samples R, spheres *N). The result is None if some sample has no such interface.
 
-    bearing : a lattice or a packing, with its R samples.
+    bearing : a lattice or a packing, with its R samples. The C components are its `minimum_spin_axes`. On lattices
+        solvers store spins with signs that alternate between neighbours, less those of the bottom, 1/time; in packings
+        radius * spin, length/time.
     """
     if isinstance(bearing, Scene):
         return np.where(cut_of(bearing).above, bearing.top_spin(bearing.minimum_spin_axes)[:, None, ..., None], 0.0)
