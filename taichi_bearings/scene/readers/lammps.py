@@ -103,11 +103,11 @@ class Asked:
 def read_dumps(atoms: Path, contacts: Path, columns: Sequence[str], asked: Asked) -> dict[str, np.ndarray]:
     """Return the arrays of a packing by name, with spheres in the order of their ids.
 
-    atoms : dump with the columns id, radius or diameter, and x y z, xu yu zu (unwrapped), xs ys zs or xsu ysu zsu
-        (fractions of the box).
+    atoms : dump with the columns id, radius or diameter, and positions: x y z, xu yu zu (unwrapped), or fractions of
+        the box, xs ys zs or xsu ysu zsu.
     contacts : dump with the columns that `columns` names. Both files may be packed by gzip, bzip2 or xz.
-    columns : names of the columns with the ids of both atoms of a contact, such as ("c_pair[1]", "c_pair[2]"); then
-        none, or that of the normal force, or those of the components of the force on the first atom. Rows whose force
+    columns : names of the two columns with the ids of the atoms of a contact, such as ("c_pair[1]", "c_pair[2]"). That
+        of the normal force may follow, or those of the components of the force on the first atom. Rows whose force
         does not press are left out, and counted in a warning.
     asked : options of the user.
 
@@ -122,7 +122,7 @@ def read_dumps(atoms: Path, contacts: Path, columns: Sequence[str], asked: Asked
             "force"
         )
     frame, rows = _frames(atoms, contacts, list(columns), asked)
-    # columns of the atoms are in the order of `Asked.columns`: id, type, size, positions, spins
+    # sort the atoms by id; their columns are in the order of `Asked.columns`: id, type, size, positions, spins
     kinds, sizes, places = len(asked.type_column), len(asked.size_column(frame.names)), asked.place_columns(frame.names)
     order = np.argsort(frame.table[:, 0], kind="stable")
     _refuse_strange_rows(frame)
@@ -289,6 +289,7 @@ def _contacts(
     if strange.any():
         line = rows.at(int(np.argmax(strange)))
         raise FileError(f"{line} has a force that is infinite or not a number")
+    # no column of forces, the normal force, or the components of a vector; rows without any force are no contacts
     force, row, count = rows.table[:, 2:], np.arange(len(rows.table)), len(rows.table)
     has_forces, is_vector = force.shape[1] > 0, force.shape[1] > 1
     if has_forces:
@@ -296,7 +297,7 @@ def _contacts(
         row, force = row[force.any(axis=1)], force[force.any(axis=1)]
     contact = _contacts_by_ids(rows, row, frame, number)
     normal = _normals(rows, row, contact, number, frame, spheres, asked)
-    if is_vector:
+    if is_vector:  # the force on the first atom presses if it points against the normal
         pressing = _pressing_forces(rows, -np.einsum("ed,ed->e", force[:, : normal.shape[1]], normal), count)
         acts = pressing > 0
         contact, normal, force = contact[acts], normal[acts], pressing[acts, None]
@@ -395,16 +396,18 @@ def _contacts_by_ids(rows: Frame, row: np.ndarray, frame: Frame, number: np.ndar
     rows : timestep of the dump of contacts.
     row : (E,), numbers of its rows that are contacts.
     frame : timestep of the dump of atoms.
-    number : (spheres N,), ids of the atoms in the order of the spheres.
+    number : (spheres N,), ids of the atoms in the order of the spheres, rising.
 
     Raises FileError for an id that no atom has, or that fits several atoms because it was printed with too few digits.
     """
     ids = rows.table[row, :2].astype(np.int64)
-    keys, place = number, np.arange(len(number))
-    if rows.is_rounded and not frame.is_rounded:  # as %g prints them
+    # ids of the atoms in ascending order, and the sphere of each; rounded by %g if only the dump of contacts is
+    keys, sphere = number, np.arange(len(number))
+    if rows.is_rounded and not frame.is_rounded:
         keys = np.array([int(float(f"{one:g}")) for one in number.tolist()], dtype=np.int64)
-        place = np.argsort(keys, kind="stable")
-        keys = keys[place]
+        sphere = np.argsort(keys, kind="stable")
+        keys = keys[sphere]
+    # the first key that is no smaller than the id must be the id, and the next key must differ from it
     where = np.minimum(np.searchsorted(keys, ids), max(len(keys) - 1, 0))
     lost = (keys[where] != ids).any(axis=1) if len(keys) else np.ones(len(ids), dtype=bool)
     if lost.any():
@@ -417,12 +420,12 @@ def _contacts_by_ids(rows: Frame, row: np.ndarray, frame: Frame, number: np.ndar
     if doubtful.any():
         own = int(np.argmax(doubtful))
         end = int(np.argmax((keys[after] == ids)[own] & (after != where)[own]))
-        one, two = number[place[[where[own, end], after[own, end]]]].tolist()
+        one, two = number[sphere[[where[own, end], after[own, end]]]].tolist()
         raise FileError(
             f"{rows.at(int(row[own]))} has the id {ids[own, end]:g}, which can be atom {one} or {two}: it has lost "
             "digits; let `dump_modify format` write all of them"
         )
-    return np.asarray(place[where])
+    return np.asarray(sphere[where])
 
 
 def _bodies(number: np.ndarray, asked: Asked, kind: np.ndarray) -> np.ndarray:
