@@ -37,7 +37,7 @@ class Status(Enum):
     """How a run ended. Only CERTIFIED claims that the minimum was found, within the tolerance."""
 
     CERTIFIED = "certified"  # the proven gap is within the tolerance
-    RESTRICTED = "restricted"  # the gap is, but its lower bound is proven only among spins that are not too fast
+    RESTRICTED = "restricted"  # as certified, but the lower bound is proven only among spins that are not too fast
     STATIONARY = "stationary"  # a dynamics has come to rest: power, slips and torques no longer change
     FINISHED = "finished"  # a dynamics has gone on for the simulated time that was asked for
     STALLED = "stalled"  # the method can get no closer in this precision
@@ -148,10 +148,10 @@ class Progress:
     settles_more : True if further iterations would settle more contact states, whatever the gap.
     findings : other results of the method, by name, (R,) each.
     columns : numbers of this check for the history, by name, (R,) each.
-    falls_to : gap down to which each further stretch of time reduces the gap by at least the same factor; 0 if not
-        known.
-    gap_of_path : the largest relative gap of all samples on the central path of the interior-point method, if nothing
-        is proven on the way: no proof, but it tells how far they are; else None.
+    falls_to : gap at which the solve ends, if until then it falls by about equal factors in equal times, or infinite if
+        the solve ends at the tolerance; 0 if the gap falls in another way.
+    gap_of_path : of an interior-point method that proves nothing on its way, the largest relative gap of all samples on
+        its central path: no proof, but a measure of what is left to do; else None.
     falls_as : exponent k, if the gap falls about as iteration^-k, else 0.
     ended : (R,), iteration at which each sample was done, of a method that steps them one by one, else None.
     """
@@ -234,8 +234,8 @@ class Solution:
     slip, power_per_contact, force : (R, contacts E): slip speed, length/time; power, energy/time; size of the force.
     friction : force on the upper sphere of each contact of a lattice, or on the second one in a packing, laboratory
         frame, (R, E, 3); in 2D (R, E), the component along z x n, with n the normal from the first to the second
-        sphere. The lower bound follows from these forces: none exceeds the friction force of its contact, and they are
-        in balance where such forces prove as much as others.
+        sphere. These forces prove the lower bound. None exceeds the friction force of its contact, and they are in
+        balance where balanced forces prove as much as others.
     state : (R, E), values of `ContactState`.
     proven : (R, E) mask of the contacts whose state is proven, and of those that are absent or between driven spheres.
     power : (R,), energy/time.
@@ -246,11 +246,11 @@ class Solution:
     slip_threshold : slip speed, length/time, up to which a contact counts as slipless.
     seconds, seconds_compile : wall time, and the part of it in which kernels were compiled.
     history : columns of equal length, by name; power and lower_bound are (checks, R).
-    findings : other numbers that the method has found, by name, (R,) each. Those of packings alone are `proof`, which
-        is "proven", or words that say for which spins the bound holds where some motions slip by no more than the
-        rounding of the normals, or why there is no bound; `driven_power`, energy/time, the power of contacts between
-        driven spheres; and `slipless_motions`, the number of motions without slip of the free spheres that contacts
-        connect to driven ones, None if undecided.
+    findings : other numbers that the method has found, by name, (R,) each. Packings have `driven_power`, energy/time,
+        of the contacts between driven spheres; `slipless_motions`, the number of motions without slip of the free
+        spheres that contacts connect to driven ones, None if undecided; and `proof`. That is "proven" if the lower
+        bound holds for all spins. Else it says for which spins it holds, as some motions slip by no more than the
+        rounding of the normals, or why there is no bound.
     own : `iterations`, `slip_threshold`, `status` and `seconds` of each replica alone, (R,), where these are known; and
         `method` if several methods solved the replicas.
     snapshots : spins of a dynamics at the times that were asked for.
@@ -372,9 +372,10 @@ class Solution:
         return replace(self, **changes)
 
     def _history_of(self, number: int) -> dict[str, np.ndarray]:
-        """Return the columns of the history of one sample, up to the row at which it had ended.
+        """Return the history of one sample up to the check at which it had ended: its columns by name, (checks,) of
+        those in OF_ALL and (checks, 1) of others.
 
-        Samples that are solved together have rows at the same iterations. The last row that is returned gets the
+        Samples that are solved together have checks at the same iterations. The last one that is returned gets the
         iteration at which this sample itself ended.
 
         number : number of the sample.
@@ -385,12 +386,13 @@ class Solution:
         }
         if not found:
             return {}
-        lived = np.diff(found["iteration"], prepend=-1) > 0
+        # leave out repeated rows, and checks after the one at which the sample had ended
+        kept = np.diff(found["iteration"], prepend=-1) > 0
         if "iterations" in self.own:
             last = self.own["iterations"][number]
-            lived &= np.append(-1, found["iteration"][:-1]) < last
+            kept &= np.append(-1, found["iteration"][:-1]) < last
             found["iteration"] = np.minimum(found["iteration"], last)
-        return {name: values[lived] for name, values in found.items()} if lived.any() else {}
+        return {name: values[kept] for name, values in found.items()} if kept.any() else {}
 
     @classmethod
     def joined(cls, ones: Sequence["Solution"], scene: Bearing) -> "Solution":
