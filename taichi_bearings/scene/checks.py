@@ -71,24 +71,23 @@ def _array(name: str, values: ArrayLike) -> np.ndarray:
 
 
 def _integers(name: str, values: ArrayLike) -> np.ndarray:
-    """Return a read-only copy of the values in int64, of their shape; floats are taken if each is a whole number.
+    """Return a read-only copy of the values in int64, of their shape. Arrays of floats are taken if each is a whole
+    number of at most MOST_INTEGER.
 
     name : what the values are called, for messages.
 
-    Raises InputError for anything else.
+    Raises InputError for anything else, also for masked arrays.
     """
-    is_masked = isinstance(values, np.ma.MaskedArray)
-    array = np.asarray(0.5) if is_masked else _array(name, values)  # 0.5 is refused below, as masked arrays are to be
-    if array.dtype.kind == "f":
+    if isinstance(values, np.ma.MaskedArray):
+        raise InputError(f"{name} is a masked array; it must be a plain array of whole numbers")
+    array = _array(name, values)
+    if array.dtype.kind == "f" and array.ndim:
         with np.errstate(invalid="ignore"):
-            fits = array.ndim and (np.abs(array) <= MOST_INTEGER).all()
-            whole = array.astype(np.int64) if fits else array.ravel()[:0]
-        if array.size and array.ndim and (whole.shape != array.shape or (whole != array).any()):
-            flat = array.ravel()
-            wrong = flat[~((np.abs(flat) <= MOST_INTEGER) & (flat == np.round(flat)))][0]
-            raise InputError(f"{name} holds {wrong}; it must hold whole numbers")
-        array = whole if array.ndim else array
-    if array.dtype.kind not in "iu" and not (array.size == 0 and array.dtype.kind == "f"):
+            is_whole = (np.abs(array) <= MOST_INTEGER) & (array == np.round(array))
+        if not is_whole.all():
+            raise InputError(f"{name} holds {array[~is_whole][0]}; it must hold whole numbers")
+        array = array.astype(np.int64)
+    if array.dtype.kind not in "iu":
         raise InputError(f"{name} is of type {array.dtype}; it must hold whole numbers")
     if array.size and array.dtype.kind == "u" and array.max() > np.iinfo(np.int64).max:
         raise InputError(f"{name} holds {array.max()}; at most {np.iinfo(np.int64).max} is allowed")

@@ -114,13 +114,12 @@ class _Contacts:
         self.is_direct = self.touches & (self.off <= SAME_LINE)
 
     def remedy(self) -> str:
-        """Return words for a known mistake of the user, such as diameters given as radii, that would explain the
-        contacts which do not fit.
-
-        Of several mistakes it is the one whose correction makes most contacts direct: spheres that touch, with a normal
-        along their centres. The text is empty if none makes more contacts direct than already are.
+        """Return words for the mistake of the user, such as diameters given as radii, that best explains the contacts
+        which do not fit: the one whose correction makes most contacts direct. The text is empty if no correction makes
+        more contacts direct than already are. A contact is direct if its spheres touch and its normal is along their
+        centres.
         """
-        # Three kinds of mistake, each with the number of contacts that it would explain.
+        # three kinds of mistake, each with the number of contacts that would be direct without it
         turned = self.touches & (np.linalg.norm(self.along + self.normal, axis=1) <= SAME_LINE)
         found = [(int(turned.sum()), "normals seem to point from the second sphere to the first, so turn their signs")]
         if self.contact.min() > 0:
@@ -130,13 +129,15 @@ class _Contacts:
         if lines.any():
             ratio = self.size[lines] / self.reach[lines]
             usual = float(np.median(ratio))
-            words = (
-                f"centres and radii seem to be in different units: distances are {usual:.3g} times those of contacts"
-            )
-            words = "radii look like diameters" if abs(usual / 0.5 - 1) < NEAR else words
-            words = "radii look like halves of radii" if abs(usual / 2.0 - 1) < NEAR else words
+            if abs(usual / 0.5 - 1) < NEAR:
+                units = "radii look like diameters"
+            elif abs(usual / 2.0 - 1) < NEAR:
+                units = "radii look like halves of radii"
+            else:
+                units = "centres and radii seem to be in different units: "
+                units += f"distances are {usual:.3g} times those of contacts"
             if abs(np.log(usual)) > np.log(OTHER_UNIT):
-                found.append((int((np.abs(ratio / usual - 1) < OVERLAP).sum()), words))
+                found.append((int((np.abs(ratio / usual - 1) < OVERLAP).sum()), units))
         explained, words = max(found)
         return f"; {words}" if explained > self.is_direct.sum() else ""
 
@@ -209,7 +210,7 @@ class _Contacts:
             yield inside[first], second
 
     def _first(self) -> int:
-        """Return the number of the first contact whose normal is not along the line of its centres."""
+        """Return the number of the first contact that is not direct."""
         return int(np.argmin(self.is_direct))
 
     def _pair(self, number: int) -> str:
@@ -225,27 +226,27 @@ class _Contacts:
 
 
 def _periods(shift: np.ndarray, slack: np.ndarray, least: float) -> tuple[np.ndarray, int | None]:
-    """Return the periods of a box, (k, dimensions D), length, such that every shift is a sum of them, and None. If
-    there are no such periods, return the periods found so far, and the number of a shift that is no sum of them.
+    """Return periods of a box, (k, dimensions D), length, of which every shift is a sum, and None. If a box has no such
+    periods, return those found so far, and instead of None the number of a shift that is no sum of them.
 
-    The shortest shift that is no sum becomes a further period, again and again, until all shifts are sums or there are
-    more than D periods.
+    The shortest shift that is no sum becomes a further period, until all shifts are sums, there are more than D
+    periods, or one is too short.
 
     shift : (X, D), length, shifts of the X contacts across periodic sides.
-    slack : (X,), length, by which each may miss such a sum.
+    slack : (X,), length, by which each shift may miss a sum of periods.
     least : the shortest length that a period may have.
     """
     periods, own = np.zeros((0, shift.shape[1])), 0
     order = np.argsort(np.linalg.norm(shift, axis=1), kind="stable")
     for _ in range(MOST_TRIED_PERIODS):
         # the sum of periods nearest to each shift, and what is missing
-        whole = np.round(shift @ np.linalg.pinv(periods)) if len(periods) else np.zeros((len(shift), 0))
-        rest = shift - whole @ periods
-        over = np.linalg.norm(rest, axis=1) > slack + ROUNDING * np.linalg.norm(shift, axis=1)
-        if not over.any():
+        times = np.round(shift @ np.linalg.pinv(periods)) if len(periods) else np.zeros((len(shift), 0))
+        rest = shift - times @ periods
+        is_no_sum = np.linalg.norm(rest, axis=1) > slack + ROUNDING * np.linalg.norm(shift, axis=1)
+        if not is_no_sum.any():
             return periods, None
-        # the rest of the shortest shift that is no sum makes a further period
-        own = int(order[np.argmax(over[order])])
+        # what is missing of the shortest shift that is no sum makes a further period
+        own = int(order[np.argmax(is_no_sum[order])])
         periods = _shortest_generators(periods, rest[own], float(slack[own]))
         if len(periods) > shift.shape[1] or np.linalg.norm(periods, axis=1).min(initial=np.inf) < least:
             break
