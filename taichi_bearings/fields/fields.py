@@ -89,10 +89,10 @@ class Fields:
         """Allocate the fields.
 
         layout : a `Layout` of lattices, or `Lists` of spheres and contacts.
-        spec : names and components, as `layout.parts` takes them.
-        kind : type of the numbers, on a CPU alone; by default that of the precision of the runtime.
+        spec : name and number of components of each field; with `Lists` a pair, for spheres and for contacts.
+        kind : type of the numbers, used on a CPU alone; by default that of the precision of the runtime.
 
-        Raises DeviceError if they are too many to be indexed, or do not fit.
+        Raises DeviceError if the numbers are more than kernels can index, or do not fit into the memory.
         """
         self.layout: Any = layout  # users of strides ask it for other things than users of lists
         self.dtype, count = number_type() if kind is None else np.dtype(kind), 0
@@ -132,10 +132,10 @@ class Fields:
         return values, None
 
     def part(self, number: int) -> "Fields":
-        """Return the fields of one sample, where these are of several that stand one after the other in `Lists`; both
-        share their memory.
+        """Return the fields of one of several samples, which share the memory of this object. The layout must be
+        `Lists`, in which samples stand one after the other.
 
-        number : which sample, from 0.
+        number : number of the sample, from 0.
         """
         found = copy(self)
         found._place = {

@@ -95,11 +95,11 @@ class Lists:
         return np.concatenate([self.size, one, [self.numbers_row], self.ends, self.start, self.incident])
 
     def parts(self, spec: ListSpec) -> list[tuple[FieldSpec, Rows]]:
-        """Return three pairs: names and numbers of components of some fields, and where their rows lie in memory, in
-        the first copy of the network. The fields are those of the N spheres, each an array (C components, 1, N); those
-        of the E contacts, (C, 1, E); and "numbers", (C, 1), the constants that kernels read.
+        """Return where the fields of the first sample lie in memory, as three pairs: the names and numbers of
+        components of some fields, and the layout of their rows. The first pair is of the fields of the N spheres, each
+        (components C, 1, N); the second of those of the E contacts, (C, 1, E); the third of "numbers", (C, 1).
 
-        spec : fields of spheres, and fields of contacts: names and numbers of components.
+        spec : names and numbers of components, for the spheres and for the contacts; "numbers" are constants.
         """
         rows = [
             Rows(length, 0, (1, len(order)), order)

@@ -258,15 +258,16 @@ def tangential(axis: int, spin_axes: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def laboratory_forces(force: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Return the friction on the upper sphere of each contact in the laboratory, (R samples, E contacts, 3); in 2D (R,
-    E), its component along z x n, which is upwards at contacts along x and to the left at contacts along y. The force
-    on the lower sphere is the opposite one.
+    """Return the friction on the upper sphere of each contact, in the laboratory frame: (samples R, contacts E, 3), or
+    (R, E) in 2D. The lower sphere feels the opposite force.
 
-    force : (C, R, E), f, the contact force by spin component, along the difference of staggered spins. The friction is
-        -s f x n, with n the direction of the contact and s = +1 or -1 the sign of its lower sphere: it opposes the slip
-        of paper Eq. 2, s R Delta Omega x n.
+    force : (C, R, E), contact forces f by spin component, along the difference of staggered spins.
     lattice : lattice of the contacts.
     spin_axes : axes of the C spin components.
+
+    The friction is -s f x n, with n the direction of the contact and s = +1 or -1 the sign of its lower sphere. It
+    opposes the slip s R Delta Omega x n of paper Eq. 2. In 2D its component along z x n is returned: upwards at
+    contacts along x, to the left at contacts along y.
     """
     if lattice.dimension == 2:
         found: np.ndarray = -lattice.lower_parity * force[0]

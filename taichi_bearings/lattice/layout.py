@@ -66,7 +66,8 @@ class Layout:
 
     @property
     def margin(self) -> int:
-        """Number of sites before the first one: whole blocks, so that blocks are aligned in memory."""
+        """Number of sites before the first one: the largest stride, so that every lower neighbour lies in the array,
+        rounded up to whole blocks, which are aligned in memory."""
         return -(-max(self.strides[0], 1) // self.block) * self.block
 
     @property
