@@ -160,7 +160,7 @@ def read_coefficients(path: Path, kind: str = "coefficient", dimension: int = 0)
     kind : "coefficient" or "viscosity".
     dimension : dimension of the lattice, 2 or 3; 0 to take that of the file, which is 2 if it has no array along z.
 
-    Raises FileError if an array is missing, also where the shapes along x and y fit a lattice in 3D only.
+    Raises FileError if an array is missing: in 3D that along z, even if `dimension` does not say that it is 3D.
     """
     along = [f"{kind}/{axis}" for axis in "xyz"]
     stored = read_arrays(path, along[: dimension or 2], () if dimension else along[2:])
@@ -169,17 +169,18 @@ def read_coefficients(path: Path, kind: str = "coefficient", dimension: int = 0)
             raise FileError(f"{name} in {path} is of type {values.dtype}; it must be real numbers")
     x, y = (values.shape for values in list(stored.values())[:2])
     if len(stored) == 2 and _fit_one_lattice(3, x, y) and not _fit_one_lattice(2, x, y):
-        read_arrays(path, along)
+        read_arrays(path, along)  # the shapes are of a lattice in 3D: an array along z is missing, which this raises
     return tuple(values.astype(np.float64) for values in stored.values())
 
 
 def _fit_one_lattice(dimension: int, x: tuple[int, ...], y: tuple[int, ...]) -> bool:
-    """Return True if coefficients along x and y have shapes that fit one lattice of this dimension.
+    """Return True if some lattice of this dimension has as many contacts along x and y as these shapes say.
 
-    x, y : the two shapes, with or without a leading axis of samples.
+    x, y : shapes of the coefficients along x and along y, with or without a leading axis of samples.
     """
     if len(x) != len(y) or len(x) not in (dimension, dimension + 1):
         return False
+    # along its own axis an array is shorter by 1 than others, or as long if the axis is periodic; the height is not
     more = [along_y - along_x for along_x, along_y in zip(x, y, strict=True)]
-    first, second, *others = more[-dimension:]  # along a periodic axis there is one more contact
+    first, second, *others = more[-dimension:]
     return first in (0, 1) and second in ((-1,) if dimension == 2 else (0, -1)) and not any(more[:-dimension] + others)

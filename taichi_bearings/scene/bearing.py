@@ -118,11 +118,11 @@ class Bearing(ABC):
     @cached_read_only
     def coefficient(self) -> np.ndarray:
         """(samples R, contacts E) first coefficient of the law: `strength` times it is the friction force, or the
-        damping of a viscous law.
+        damping. If each contact has a normal force of its own, friction is multiplied by it here.
         """
         first = next(iter(self.named_coefficients.values()))
-        each = np.ndim(self.normal_force) > 0 and self.law.quantities[0].is_friction
-        return first * self.normal_force if each else first
+        has_own_forces = np.ndim(self.normal_force) > 0 and self.law.quantities[0].is_friction
+        return first * self.normal_force if has_own_forces else first
 
     @property
     def _coefficients(self) -> Coefficients:
@@ -174,11 +174,11 @@ class Bearing(ABC):
 
     @cached_property
     def smallest_jump(self) -> float:
-        """The largest size of an imposed spin in a component, for the component of `minimum_spin_axes` where it is
-        smallest.
+        """The smallest of C numbers, one for each component in `minimum_spin_axes`: the largest size of an imposed
+        spin in this component.
 
-        Spins are in the form that solvers store: on lattices 1/time, measured from the bottom. It is 0 if top and
-        bottom agree in a component, and if :meth:`box` knows no bounds.
+        Spins are in the form that solvers store: on lattices 1/time, measured from the bottom. The number is 0 if top
+        and bottom agree in a component, and if :meth:`box` knows no bounds.
         """
         return float(np.abs(self.box(self.minimum_spin_axes)).max(axis=0).min())
 

@@ -46,8 +46,8 @@ def _power_law_rounding(low: float, high: float, exponent: float) -> float:
     """Return the largest relative difference that a random number of a power law may have between machines.
 
     low, high, exponent : parameters of :func:`_power_law`. It mixes low^(exponent + 1) and high^(exponent + 1) by a
-        random share; these powers may be rounded differently, their sum loses digits where their sizes differ, and the
-        last power multiplies the error.
+        random share. These powers may differ by a few units in the last place, of which 8 are taken. Their sum loses
+        digits if their sizes differ, and the last power multiplies the error.
     """
     over = abs(exponent + 1)
     with np.errstate(over="ignore"):

@@ -510,9 +510,9 @@ class Planes(Driving):
         return [(..., 0), (..., -1)]
 
     def imposed(self, spin_axes: tuple[int, ...]) -> list[Pair]:
-        """Return the imposed spins of bottom and top in the form that solvers store, 1/time, in twice the precision:
-        two pairs of doubles and what their rounding leaves out, (C components, *plane) each. They are 0 on the bottom,
-        and on the top the difference of the imposed bearing states at its spheres.
+        """Return the imposed spins of bottom and top as solvers store them, 1/time: a Pair for each plane, of arrays
+        (components C, *plane). Spins are 0 on the bottom, and on the top the difference of the two imposed bearing
+        states at its spheres.
 
         spin_axes : numbers of the C components.
         """
@@ -528,9 +528,9 @@ class Planes(Driving):
         return self.bottom_state(spin_axes)
 
     def unsolved_component(self, component: int) -> np.ndarray:
-        """Return spins for a component that is not solved for, in the form that solvers store: they rise linearly with
-        the height from 0 at the bottom to the imposed spin of the top, 1/time. In a component that `minimum_spin_axes`
-        leaves out no contact slips by them. The shape is that of the lattice, or broadcasts to it.
+        """Return spins, 1/time, for a component that is not solved for, as solvers store them: they rise linearly with
+        the height, from 0 at the bottom to the imposed spin of the top. The shape is that of the lattice, or broadcasts
+        to it. If `minimum_spin_axes` leaves out the component, these spins make no contact slip.
 
         component : number of the spin component.
         """

@@ -85,8 +85,9 @@ class ExactDriving:
 
     @cached_property
     def jump(self) -> dict[int, list[Decimal]]:
-        """Component k of the jump, the state of the top less that of the bottom, divided by `unit`, by k: one value of
-        300 digits for each layer of spheres along k, or one for all.
+        """The jump, the state of the top less that of the bottom, divided by `unit`: a dictionary in which the key is
+        the number k of a component, and the value a list of its numbers of 300 digits in the layers of spheres along k,
+        or a single one for all layers.
         """
         with localcontext() as context:
             context.prec = DIGITS

@@ -310,8 +310,8 @@ class Network:
         * known values of u = radius * spin, (spheres N, components C), length/time: those of driven spheres, and those
           of components by which no contact has to slip; 0 elsewhere;
         * a mask (N, C) of the components to be solved for;
-        * the number of independent motions without slip, None where normals are oblique. In each such motion one spin
-          is set to 0, so that the solution is unique.
+        * the number of independent motions without slip, None where normals are oblique, and 0 in 2D. In each such
+          motion one spin is set to 0, so that the solution is unique.
 
         imposed : u (N, C) of driven spheres, 0 of others, length/time.
         contact : (n,) numbers of the contacts to consider.
@@ -336,13 +336,14 @@ class Network:
             low, high = np.full(label.max() + 1, np.inf), np.full(label.max() + 1, -np.inf)
             np.minimum.at(low, label[held], signed[held])
             np.maximum.at(high, label[held], signed[held])
-            loose = np.isinf(low)  # pieces without driven spheres
+            # the first sphere of each piece without driven spheres that can turn without slip
+            loose = np.isinf(low)
             turning = np.flatnonzero(moves & loose[label] & ~odd)
             first = turning[np.unique(label[turning], return_index=True)[1]]
             number += len(first)
             if (low < high).any() or (odd[held] & (signed[held] != 0)).any():
                 wanted[first, k] = False
-            else:
+            else:  # no contact has to slip by this component
                 wanted[:, k] = False
                 known[moves, k] = (np.where(loose, 0.0, low)[label] * np.where(odd, 0.0, sign))[moves]
         return known, wanted, number

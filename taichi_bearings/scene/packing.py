@@ -435,12 +435,12 @@ class Packing(Bearing):
         seed : int
             Seed of the coefficients.
         **others
-            `radius`, one for all, length; `spin_top` and `spin_bottom` (1/time; 1 and 0) about `direction` (of
-            spheres; (1, 1, 0)), with the sign of the sublattice where there are two; or, instead of spins, the bearing
-            states `top` and `bottom`, (A_x, A_y, A_z, C) as of :class:`Scene`; `driven`, which spheres the bodies are:
-            "planes", the lowest and the highest layer along the last axis, "walls", those along x, or "shaft:r", where
-            all walls along x and y are body 0, and body 1 are the spheres within r diameters of the vertical axis
-            through the middle (of discs, of the middle); and other fields of this class.
+            `radius`, one for all, length. `spin_top` and `spin_bottom` (1/time; 1 and 0) about `direction` (of
+            spheres; (1, 1, 0)), times the sign of the sublattice where there are two; or in their place the bearing
+            states `top` and `bottom`, (A_x, A_y, A_z, C) as of :class:`Scene`. `driven`, which spheres the bodies are:
+            "planes", the lowest and the highest layer along the last axis; "walls", those along x; or "shaft:r", body
+            0 at all ends of x and y, and body 1 within r diameters of the middle (of spheres, of the vertical axis
+            through it). Also other fields of this class.
 
         Returns
         -------
@@ -523,7 +523,8 @@ class Packing(Bearing):
         Parameters
         ----------
         m, n : int
-            Numbers of the family.
+            Numbers that pick a bearing of the family: m + 3 discs touch both the upper line and the large disc on the
+            lower one, n + 3 the lower line and the large disc on the upper one (the opposite line counts as a disc).
         least_radius : float
             Radius of the smallest discs that are kept, length.
         periods : int
@@ -531,8 +532,8 @@ class Packing(Bearing):
         seed : int
             Seed of the coefficients.
         **others
-            `spin_top` and `spin_bottom`: surface speeds here, length/time, 1 and 0, with the sign of the sublattice;
-            and other fields of this class.
+            `spin_top` and `spin_bottom`: here surface speeds, length/time, 1 and 0, times the sign of the sublattice.
+            Also other fields of this class.
 
         Returns
         -------
@@ -592,15 +593,15 @@ class Packing(Bearing):
 
     @classmethod
     def _between_sides(cls, size: float | np.ndarray, found: Built, unit: float, seed: int, others: Json) -> "Packing":
-        """Return the packing of spheres whose lowest and highest ones are driven.
+        """Return the packing of spheres that a generator has placed, with two driven bodies, bottom and top.
 
-        size : radius of each sphere, (spheres N,) or one number, in units of the argument `radius`.
+        size : radius of each sphere, (spheres N,) or one number, divided by `radius`.
         found : places (N, dimensions D), contacts (contacts E, 2), normals (E, D), signs of the sublattice (N,), and
             driven bodies (N,).
-        unit : unit of the places, in units of the argument `radius`, too.
+        unit : number that, times `radius`, turns the places into lengths.
         seed : seed of the coefficients.
-        others : arguments of the caller by name; those that are used here are removed, the rest are fields of the
-            packing.
+        others : arguments of the caller by name: `radius`, length; imposed spins or states; `at_surface`, True if these
+            are surface speeds; and fields of the packing. All but the fields are removed.
 
         Raises InputError for an argument that is unknown.
         """

@@ -41,8 +41,8 @@ class Scene(Bearing):
     ----------
     coefficients : tuple of arrays
         One array for each axis, x, y(, z), of shape (nx-1, ny, nz), (nx, ny-1, nz), (nx, ny, nz-1), in 2D (nx-1, ny),
-        (nx, ny-1); several samples have a leading axis R, a single one has it only if it was given with it (`material`
-        has it always). The last axis of the lattice is the height, bottom first.
+        (nx, ny-1). Several samples have a leading axis R; for a single one it may be left out. The last axis of the
+        lattice is the height, bottom first.
         Entry [i, j, k] belongs to the contact of sphere (i, j, k) with its upper neighbour along that axis: friction, a
         pure number, or damping of the viscous law, force * time/length. Numbers are from 1e-15 to 1e15, or 0 where
         spheres do not touch.
@@ -548,7 +548,7 @@ def periodic_axes(given: Any, allowed: tuple[str, ...] = AXIS_NAMES[:2]) -> tupl
     """Return the names of the periodic axes, in the order of the axes; raise InputError for names that are not allowed.
 
     given : one name, a list of several, or a text such as "x,y".
-    allowed : the names that are.
+    allowed : names that periodic axes may have.
     """
     parts = (given.split(",") if given else ()) if isinstance(given, str) else given
     is_one = not isinstance(parts, Iterable) or (isinstance(parts, np.ndarray) and parts.ndim == 0)
