@@ -23,17 +23,15 @@ class LinearAlgebra:
     """A module of SciPy's linear algebra, which is loaded when one of its functions is first asked for."""
 
     def __init__(self, name: str) -> None:
-        """Load nothing yet.
-
-        name : name of the module.
-        """
+        """Note the name of the module, which is not loaded yet."""
         self._name = name
 
     def __getattr__(self, function: str) -> Any:
-        """Return the function of this name. Python calls this once for each name."""
+        """Return the function of this name from the module, and load that if need be. Python calls this once for each
+        name."""
         is_new = "scipy.linalg" not in sys.modules
         found = getattr(importlib.import_module(self._name), function)
-        if is_new:
+        if is_new:  # blocks of `one_thread` that are being executed limit the threads of SciPy's library, too
             for limits in _blocks:
                 limits.enter_context(_controller(True).limit(limits=1, user_api="blas"))
         setattr(self, function, found)

@@ -90,9 +90,7 @@ def divide(x: Pair, y: Pair) -> Pair:
 
 
 def square_root(x: Pair) -> Pair:
-    """Return the square root of positive numbers x as a sum of two doubles: one Newton step from the root of the high
-    part.
-    """
+    """Return the square root of positive numbers x as a sum of two doubles, by one Newton step."""
     first = np.sqrt(x[0])
     left = subtract(x, two_square(first))
     return two_sum(first, left[0] / (2 * first))

@@ -136,9 +136,10 @@ def cuts_between(
 
 
 def with_exact_ties(cut: MinimumCut, weight: tuple[np.ndarray, ...], rounding: float) -> MinimumCut:
-    """Return minimum cuts of R lattices of shape N, of several lightest ones the lowest. Their mask `between`, of
-    spheres that are not known to lie on one side of all lightest cuts, has fewer spheres than that of `cut`: those that
-    flows of rounded weights left there are examined again with exact weights, whole numbers of any size.
+    """Return minimum cuts of R lattices of shape N, with ties decided by exact weights, whole numbers of any size.
+
+    Of several lightest cuts the result has the lowest. Its mask `between`, of spheres that are not known to lie on one
+    side of all lightest cuts, has lost the spheres that only the rounding of weights had left there.
 
     cut : the cuts as :func:`taichi_bearings.numerics.minimum_cut.minimum_cut` found them from these weights.
     weight : weights of the contacts, one array (R, *contacts) for each axis.

@@ -37,16 +37,16 @@ FLOW_BITS = 29  # most bits of a flow in SciPy, which has 31: capacity left over
 class MinimumCut:
     """Minimum cuts of R lattices of shape N: the lightest sets of contacts whose removal separates bottom and top.
 
-    above : (R, *N) True for spheres on the top side. Contacts between both sides are the cut, of several equally light
-        ones the lowest.
-    between : (R, *N) True for spheres that are not proven to lie on the same side of all cuts as light as this one. In
-        planar grids whose weights are not rounded that is exact. False for spheres that no chain of contacts with
+    above : (R, *N) True for spheres on the top side. The contacts between both sides are the cut; of several equally
+        light cuts it is the lowest.
+    between : (R, *N) True for spheres that are not proven to lie on the same side of all cuts as light as this one; in
+        planar grids with exact weights, for spheres that do not. False for spheres that no chain of contacts with
         weight joins to bottom or top, as they change no cut.
     weight : (R,) weight of this cut.
-    lower_bound : (R,) proven: no cut is lighter. It misses the least weight by about 1e-15 of it for each contact, or
-        less.
-    next_weight : (R,) weight of the lightest other cut that leaves either side in one piece, as precise as the bound;
-        NaN where it is not known. :func:`next_cut` then computes it.
+    lower_bound : (R,) proven lower bound on the weight of every cut. For each contact of the cut it is too low by about
+        1e-15 of the least weight (3e-14 at most).
+    next_weight : (R,) weight of the lightest other cut that leaves the spheres of either side connected, as precise as
+        the bound; NaN where it is not known. :func:`next_cut` computes it.
     """
 
     above: np.ndarray
@@ -57,8 +57,7 @@ class MinimumCut:
 
     @property
     def unique(self) -> np.ndarray:
-        """(lattices R,) True where every other set of contacts that separates bottom and top is proven to be
-        heavier."""
+        """(lattices R,) True where every other cut between bottom and top is proven to be heavier."""
         return np.asarray(~self.between.reshape(len(self.between), -1).any(axis=1))
 
 
@@ -147,10 +146,10 @@ def weight_of_cut(above: np.ndarray, weight: tuple[np.ndarray, ...]) -> np.ndarr
 
 
 def _cut_planes(sideways: np.ndarray, upward: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Find minimum cuts of R stacks of planar grids that no contact joins to each other, w columns and h rows each.
+    """Return minimum cuts of R stacks of planar grids of w columns and h rows; no contact joins the grids of a stack.
 
     sideways, upward : weights (R, planes, w - 1, h) along rows and (R, planes, w, h - 1) between rows.
-    returns : masks (R, planes, w, h) of the spheres on the top side, and of those that are not on one side in all
+    returns : masks (R, planes, w, h) of the spheres on the top side, and of spheres whose side differs among the
         lightest cuts; (R,) proven least weight of a cut; (R,) weight of the lightest other cut.
     """
     replicas, planes, columns, gaps = upward.shape
@@ -159,8 +158,8 @@ def _cut_planes(sideways: np.ndarray, upward: np.ndarray) -> tuple[np.ndarray, n
     bound, further = np.empty((2, replicas * planes))
     for part, cuts in minimum_cuts(sideways, upward):
         above[part], bound[part], further[part] = cuts.above, cuts.weight, cuts.next_weight - cuts.weight
-        # Where several cuts tie, remove all contacts of any of them: spheres that the others still join to bottom or
-        # top are on this side of every cut.
+        # Where several cuts tie: `apart` are the contacts that are in any of them. Spheres that other contacts join to
+        # bottom or top are on that side of every cut; spheres that only contacts of cuts join to them may change sides.
         for grid in np.flatnonzero(~cuts.unique):
             cut = np.diff(cuts.above[grid], axis=0), np.diff(cuts.above[grid], axis=1)
             apart = cut[0] | cuts.sideways_tied[grid], cut[1] | cuts.upward_tied[grid]
@@ -202,10 +201,10 @@ class GraphCut:
 
 
 def cut_lattice(weight: tuple[np.ndarray, ...], rounding: float = 0.0) -> GraphCut:
-    """Find a minimum cut of one lattice between its bottom and its top plane.
+    """Return a minimum cut of one lattice between its bottom and its top plane, with masks of the lattice's shape.
 
     weight : one array of contacts for each axis, the height last.
-    rounding : relative error of each weight: no cut that could be as light within that error is taken to be heavier.
+    rounding : relative error of each weight; cuts that could be as light within it count as equally light.
     """
     node, ends = graph_of_lattice(Lattice.of(weight))
     lightest = weight[-1].reshape(-1, weight[-1].shape[-1]).sum(axis=0).argmin()
@@ -218,17 +217,17 @@ def cut_lattice(weight: tuple[np.ndarray, ...], rounding: float = 0.0) -> GraphC
 def graph_cut(
     ends: np.ndarray, edges: np.ndarray, above: np.ndarray, rounding: float = 0.0, slack: float = 0.0
 ) -> GraphCut:
-    """Find a lightest cut between the first and the last node of an undirected graph.
+    """Return a lightest cut between the first and the last node of an undirected graph.
 
     A cut divides the nodes into a side with the first and a side with the last node; its weight is the sum of the
-    weights of the edges between the sides.
+    weights of the edges between the sides. Cuts that are heavier by no more than the errors `rounding` and `slack`
+    count as equally light.
 
     ends : (2, edges) nodes that each edge joins.
     edges : (edges,) weights, none negative.
-    above : (nodes,) True on the side of the last node, for any cut that is known.
+    above : (nodes,) any cut: True on the side of the last node.
     rounding : relative error of each weight.
-    slack : absolute error of the weight of a cut beyond that, in the unit of the weights. Cuts that are heavier by no
-        more than these errors count as equally light.
+    slack : further error of the weight of a cut, in the unit of the weights.
     """
     cut, light = above[ends[0]] != above[ends[1]], False
     while not light:  # a cut that is much lighter than the one known before is found anew, in a finer unit

@@ -84,8 +84,8 @@ class DenseFront:
 
         own : number of own unknowns, which are eliminated in this front.
         border : number of later unknowns that they are coupled to.
-        height : distance from one own column to the next, in doubles.
-        pitch : distance from one column of the update (the block of the border) to the next, in doubles.
+        height : doubles from one own column to the next in the first SHEET_COLUMNS columns; fewer in later ones.
+        pitch : doubles from one column of the update (the block of the border) to the next in its first sheet.
         columns : address of the first diagonal entry of the own columns; only their lower triangle is used.
         update : address of the first diagonal entry of the update; only its lower triangle is used.
         """
@@ -166,7 +166,7 @@ def _panel_calls(first: int, own: int, rows: int, height: int, columns: int, fau
     first : number of the panel's first column in the front.
     own : number of own columns of the front.
     rows : number of rows from the panel's first diagonal entry down.
-    height : doubles from one column to the next.
+    height : doubles from one own column to the next in the first SHEET_COLUMNS columns; fewer in later ones.
     columns : address of the first diagonal entry of all own columns.
     fault : set by LAPACK where a pivot is not positive.
     """
@@ -189,8 +189,8 @@ def _panel_calls(first: int, own: int, rows: int, height: int, columns: int, fau
 
 
 def _sheet_calls(own: int, rows: int, first: int, height: int, columns: int, pitch: int, target: int) -> list[Call]:
-    """Return the calls that subtract the product of the own columns of a front from one sheet: some columns of its
-    update. There are as many calls as own columns are stored in panels.
+    """Return the calls that subtract the product of the own columns of a front from one sheet, up to SHEET_COLUMNS
+    columns of its update: for each SHEET_COLUMNS own columns one for the triangle at the diagonal and one for the rest.
 
     A front is a dense symmetric matrix: the columns of its own unknowns first, then those of the later unknowns that
     they are coupled to; the block of the later ones is the update. Each call is a tuple: number of the panel of own
@@ -199,7 +199,7 @@ def _sheet_calls(own: int, rows: int, first: int, height: int, columns: int, pit
     own : number of own columns of the front.
     rows : number of rows from the sheet's first diagonal entry down.
     first : row of the front in which the sheet begins.
-    height : doubles from one own column to the next in the first panel.
+    height : doubles from one own column to the next in the first SHEET_COLUMNS columns; fewer in later ones.
     columns : address of the first diagonal entry of all own columns.
     pitch : doubles from one column of the sheet to the next.
     target : address of the sheet's first diagonal entry.
@@ -224,10 +224,10 @@ def _sheet_calls(own: int, rows: int, first: int, height: int, columns: int, pit
 
 def _entry(row: int, column: int, height: int, columns: int) -> tuple[int, int]:
     """Return the address of an entry among the own columns of a front, and how many doubles further on the next column
-    of its panel stands.
+    stands of the SHEET_COLUMNS columns that are stored together.
 
     row, column : place of the entry in the front.
-    height : doubles from one own column to the next in the first panel.
+    height : doubles from one own column to the next in the first SHEET_COLUMNS columns; fewer in later ones.
     columns : address of the first diagonal entry of all own columns.
     """
     width = tuning.SHEET_COLUMNS

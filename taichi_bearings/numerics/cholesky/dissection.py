@@ -40,9 +40,7 @@ def dissect(lattice: Lattice, spin_axes: tuple[int, ...], leaf: int = LEAF_UNKNO
 
     def eliminated(region: Region) -> np.ndarray:
         """Return the order of elimination (n,) of the n unknowns in a region: a box of spheres for each spin component.
-
-        It is made once for all regions that are shifted copies of each other.
-        """
+        It is made once for all regions that are shifted copies of each other."""
         corner = tuple(np.min([low for low, _ in region.values()], axis=0).tolist())
         moved = {c: (_less(low, corner), _less(high, corner)) for c, (low, high) in region.items()}
         alike = tuple(moved.items())
@@ -54,8 +52,7 @@ def dissect(lattice: Lattice, spin_axes: tuple[int, ...], leaf: int = LEAF_UNKNO
     def divided(region: Region) -> np.ndarray:
         """Return the order of elimination (n,) of the n unknowns in a region, which has a box of spheres for each spin
         component: one side, the other side, then the unknowns that separate them. Unknowns of a small region stay in
-        the order of their numbers.
-        """
+        the order of their numbers."""
         division = divide(region, len(shape)) if _size(region) > leaf else None
         if division is None:
             return numbers(region)

@@ -179,8 +179,8 @@ class Cholesky:
         return factor.solution[:, :samples].take(self.pattern.place, axis=0)
 
     def reserve(self) -> None:
-        """Take the memory of a large factor before it is needed, and let another thread have the system provide it, if
-        there are several threads."""
+        """Take the memory of a large factor before it is needed, and touch it in another thread, so that the system
+        provides it. With one thread nothing happens."""
         if self.engine is Engine.CALLS and runtime.current().threads > 1:
             self.factor().reserve()
 
@@ -220,9 +220,7 @@ class Factor(ABC):
 
 
 class DenseFactor(Factor):
-    """Factor of one dense block, for matrices so small that an elimination tree costs more calls than it saves
-    arithmetic.
-    """
+    """Factor of one dense block, for small matrices: an elimination tree would cost more calls than it saves work."""
 
     def __init__(self, pattern: BlockPattern) -> None:
         """Reserve memory for one matrix of a dense pattern: its entries (size * size, 1), and right-hand side and
@@ -368,6 +366,7 @@ class CalledFactor(Factor):
         if numbers is self._numbers:
             return
         self._numbers, arrays = numbers, (layout.tables, self.entries.ravel(), numbers, numbers.reshape(-1, LANES))
+        # fronts that LAPACK and BLAS eliminate, by the addresses of their own columns and updates
         places = tuple(numbers.ctypes.data + DOUBLE_BYTES * of for of in (layout.columns, layout.diagonal))
         of_fronts = layout.own, layout.border, layout.height, layout.update_height, *places
         called = np.concatenate([batch.fronts for batch in layout.batches if not batch.whole] or [layout.own[:0]])
@@ -380,6 +379,7 @@ class CalledFactor(Factor):
             _BatchWork(batch, [] if batch.whole else [fronts[n] for n in batch.fronts], arrays)
             for batch in layout.batches
         ]
+        # a substitution: forward (1) through all stages of branches, then backward (0)
         memory = numbers, numbers.reshape(-1, LANES), self._vector.ravel(), self._vector.reshape(-1, LANES)
         halves = [(1, stage) for stage in layout.stages] + [(0, stage) for stage in reversed(layout.stages)]
         self._halves = [
@@ -406,8 +406,8 @@ class CalledFactor(Factor):
         self._numbers, self._work, self._halves = np.zeros(0), [], []
 
     def substitute(self) -> None:
-        """Replace the right-hand side in `solution` by the solution. Factors may share memory; this matrix must have
-        been factorised since another one last used it."""
+        """Replace the right-hand side in `solution` by the solution. No other factor may have taken the shared memory
+        since this matrix was factorised."""
         assert self._seen == self._memory.changes
         look_up()
         for start in self._halves:

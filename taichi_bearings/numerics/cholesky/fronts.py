@@ -59,7 +59,7 @@ class SparsePattern:
 
     @property
     def factor_entries(self) -> int:
-        """Number of entries of the factor, or less."""
+        """Lower bound on the number of entries of the factor: the number of the stored entries of the matrix."""
         return self.entries
 
     @property
@@ -73,14 +73,13 @@ class SparsePattern:
         return np.flatnonzero(self.row == self.column)
 
     def entry(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """Return the numbers (pairs,) that stored entries have in the list of all stored entries: those that couple
-        pairs of unknowns.
+        """Return the index (pairs,), in the list of stored entries, of the entry that couples each pair of unknowns.
 
         first, second : (pairs,), the two unknowns of each pair.
         """
         a, b = self.place[first], self.place[second]
         begins = np.searchsorted(self.column, np.arange(self.size + 1))
-        return _numbers(self.row, begins, self.size, np.minimum(a, b), np.maximum(a, b))
+        return _indices(self.row, begins, self.size, np.minimum(a, b), np.maximum(a, b))
 
 
 @dataclass(frozen=True)
@@ -141,7 +140,7 @@ class Pattern(SparsePattern):
         front : (n,) index of the front.
         unknown : (n,) place of the unknown in the order of elimination.
         """
-        behind = _numbers(self.border, self.share, self.size, front, unknown) - self.share[front]
+        behind = _indices(self.border, self.share, self.size, front, unknown) - self.share[front]
         own = unknown - self.first[front]
         found: np.ndarray = np.where(own < self.own[front], own, self.own[front] + behind)
         return found
@@ -169,7 +168,7 @@ class PlacedPattern:
 
     @classmethod
     def of(cls, pattern: Pattern) -> "PlacedPattern":
-        """Return what is kept of a pattern."""
+        """Return the part of a pattern that is still needed after all numbers have got places in memory."""
         sizes = pattern.entries, pattern.factor_entries, pattern.operations
         return cls(pattern.order, pattern.place, pattern.diagonal, *sizes)
 
@@ -210,8 +209,7 @@ class BlockPattern:
         return np.arange(self.size) * (self.size + 1)
 
     def entry(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """Return the numbers (pairs,) that stored entries have in the list of all stored entries: those that couple
-        pairs of unknowns.
+        """Return the index (pairs,), in the list of stored entries, of the entry that couples each pair of unknowns.
 
         first, second : (pairs,), the two unknowns of each pair.
         """
@@ -295,8 +293,10 @@ def _depth(parent: np.ndarray) -> np.ndarray:
 
 
 def _borders(parts: Parts, depth: np.ndarray, row: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the borders of all parts one after the other, as sorted places, and where each begins, (parts + 1,). The
-    border of a part has the rows after the part in which its columns, or the borders of its children, have entries.
+    """Return the borders of all parts one after the other, as sorted places, and where each begins, (parts + 1,).
+
+    A part is a set of unknowns that are eliminated together. Its border consists of the later unknowns in whose rows
+    its columns have entries, and of the later unknowns in the borders of its children.
 
     parts : the parts, children before parents.
     depth : (parts,), number of parts above each.
@@ -324,11 +324,10 @@ def _borders(parts: Parts, depth: np.ndarray, row: np.ndarray, column: np.ndarra
     return border - size * np.repeat(np.arange(len(end)), np.diff(share)), share
 
 
-def _numbers(members: np.ndarray, begins: np.ndarray, most: int, which: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Find n values in lists of ascending values. Return the index (n,) of each among the values of all lists; 0 if its
-    list does not have it.
+def _indices(members: np.ndarray, begins: np.ndarray, most: int, which: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Return the index (n,) in `members` of n values, each looked up in one list of several; 0 if it is not there.
 
-    members : values of all lists, one list after the other.
+    members : values of all lists, one list after the other, each in ascending order.
     begins : (lists + 1,), where each list begins in `members`, and the end.
     most : number that all values are below.
     which : (n,), number of the list in which each value is to be found.
@@ -345,9 +344,9 @@ def _numbers(members: np.ndarray, begins: np.ndarray, most: int, which: np.ndarr
 
 
 def coupled(place: np.ndarray, first: np.ndarray, second: np.ndarray) -> sparse.csr_array:
-    """Return which entries the lower triangle of a symmetric matrix has, with its diagonal, for unknowns in the order
-    of elimination. The triangle is stored by columns: a sparse array (unknowns, unknowns), whose row k has as `indices`
-    the rows, ascending, of the entries in column k. Its values mean nothing.
+    """Return which entries the lower triangle of a symmetric matrix and its diagonal have, as a sparse array (unknowns,
+    unknowns) whose values mean nothing. It is stored by columns: the indices in row k of the array are the rows of the
+    entries in column k of the triangle, ascending. Unknowns stand in the order of elimination.
 
     place : (unknowns,) position of each unknown in the order of elimination.
     first, second : (pairs,), the two unknowns of each coupled pair, in any order; a pair may come twice.

@@ -58,14 +58,13 @@ class Layout:
         diagonal down, of update_height rows and less; the first one begins at row `skip` of the front. Only lower
         triangles are used.
     diagonal : (fronts,) where the first diagonal entry of the update is.
-    pivots : (unknowns,) where the diagonal entries are; none if threads share the work.
-    called_pivots : where those are that calls of LAPACK compute, in no branch.
-    last_pivots : where those are in fronts without a parent.
-    tables : int32, flat, for kernels: a header with where each table begins; 15 integers of each front; where each
-        entry of the matrix goes; where each row of an update goes in the front above, and each number of a solution;
-        work items; and the branches of each stage.
+    pivots : (unknowns,) where the diagonal entries of the factor are; none if threads share the work.
+    called_pivots : where the diagonal entries are of fronts that calls of LAPACK eliminate; these are in no branch.
+    last_pivots : where the diagonal entries are of fronts without a parent.
+    tables : int32, flat, for kernels: a header with where each table begins; the five tables of `_tables_of_fronts`;
+        the work items; and the table of branches, first those of each stage, then those of the batches.
     batches : fronts that are worked on at once, children first; none without threads.
-    stages : begin and end among branches of the tree that can be solved at once, children first.
+    stages : (begin, end) in the table of branches, of branches that can be solved at once; children come first.
     vector : length of the right-hand side together with what fronts leave for their borders.
     """
 
@@ -77,6 +76,7 @@ class Layout:
         unit : rows that make a SIMD vector; columns begin at multiples of it.
         apart : True if threads share the work; else fronts are worked on one by one.
         """
+        # how the numbers of each front are stored
         branches = _branches(pattern) if apart else np.zeros((0, 2), dtype=np.int64)
         is_called = (branch_of(len(pattern.own), branches) < 0) & apart
         self.own, self.border = pattern.own, pattern.width
@@ -96,6 +96,7 @@ class Layout:
         self.size = end + unit  # kernels read up to a vector more
         _refuse_uncountable(self.size)
         self.diagonal = self.update + self.own - self.skip
+        # places in columns and right-hand sides; work that threads share; then all tables one after the other
         begins = self._place_pivots(pattern, is_called, apart)
         rest = self._place_right_hand_side(whole(np.array(pattern.size), unit), apart)
         items, stages, self.batches = np.zeros((0, 3), dtype=np.int64), list[np.ndarray](), list[Batch]()
@@ -140,14 +141,15 @@ class Layout:
     def _tables_of_fronts(
         self, pattern: Pattern, begins: np.ndarray, rest: np.ndarray, apart: bool
     ) -> tuple[np.ndarray, ...]:
-        """Return five tables for kernels: 15 integers of each front; where each entry of the matrix goes in its front;
-        which row of the front above each row of a border is; the length of the run of rows that begins there; and where
-        each number of a solution that a border needs is.
+        """Return five tables by which kernels find the numbers of fronts.
 
         pattern : the fronts, with their borders and the stored entries of the matrix.
         begins : (unknowns,) where row 0 of each unknown's column begins in its front.
         rest : (fronts,) where the numbers of each front begin in a right-hand side, after those of the unknowns.
         apart : True if threads share the work.
+        returns : (fronts, 15), integers of each front; (entries,), place of each matrix entry in its front; and three
+            numbers of each row of all borders, one border after the other: its row in the front above; the length of
+            the run that begins there (:func:`_runs`); and where a solution has the number that this row needs.
         """
         start = np.searchsorted(pattern.column, np.append(pattern.first, pattern.size))
         integers = (
@@ -164,20 +166,19 @@ class Layout:
     def _shared_work(
         self, batches: list[np.ndarray], doubles: np.ndarray, branches: np.ndarray, begin_branches: int
     ) -> tuple[np.ndarray, np.ndarray, list[Batch]]:
-        """Divide the fronts of each batch among threads. A batch of branches is shared branch by branch; of any other
-        batch the assembly is split into items, each some columns of one front with at least ASSEMBLY_NUMBERS doubles.
-        Returns the items, (n, 3): index of a front, first column and end of the columns; the branches, (n, 2), in the
-        order of the batches; and the batches, each with its items or its branches.
-
-        A front is a dense symmetric matrix; assembly fills it with matrix entries and what the fronts below it leave.
+        """Return how threads share the fronts of each batch: branch by branch if the batch consists of branches, else
+        by work items. An item is some columns of one front with up to ASSEMBLY_NUMBERS doubles, or a single column,
+        which one thread fills with matrix entries and with what the fronts below leave.
 
         batches : for each batch the indices of its fronts, which are worked on at once.
         doubles : (fronts,) doubles of each front, own columns and update.
         branches : (n, 2), first front and end of each branch, a subtree that a kernel works on as a whole.
         begin_branches : number of rows that come before these in the table of branches.
+        returns : (n, 3), items: index of a front, first column, end of the columns; (n, 2), the branches in the order
+            of the batches; and the batches, each with its range of items or of branches.
         """
         columns = self.own + self.border
-        least = np.maximum(1, tuning.ASSEMBLY_NUMBERS // np.maximum(columns, 1))  # columns of an item
+        width = np.maximum(1, tuning.ASSEMBLY_NUMBERS // np.maximum(columns, 1))  # columns of an item
         items, in_order, found, begin = [np.zeros((0, 3), dtype=np.int64)], [branches[:0]], [], 0
         of_branch = branch_of(len(columns), branches)
         for fronts in batches:
@@ -189,8 +190,8 @@ class Layout:
                 found.append(Batch(fronts, numbers, (place, place + len(own)), True))
                 continue
             for n in fronts.tolist():
-                first = np.arange(0, columns[n], least[n])
-                items.append(np.stack([np.full_like(first, n), first, np.minimum(first + least[n], columns[n])], 1))
+                first = np.arange(0, columns[n], width[n])
+                items.append(np.stack([np.full_like(first, n), first, np.minimum(first + width[n], columns[n])], 1))
             end = begin + sum(len(of) for of in items[-len(fronts) :])
             found.append(Batch(fronts, numbers, (begin, end)))
             begin = end
@@ -304,18 +305,19 @@ def _branches(pattern: Pattern) -> np.ndarray:
 
 def _batches(pattern: Pattern, size: np.ndarray, most: int, branches: np.ndarray) -> list[np.ndarray]:
     """Return the batches in which fronts are eliminated, as a list of arrays of front numbers, children before parents.
-    The fronts of one batch are eliminated at once; they do not depend on each other, or lie in branches.
+    Fronts of one batch are eliminated at once: they do not depend on each other, unless they lie in the same branch.
 
-    A front is a set of unknowns that are eliminated together. Its update is what that adds to the matrix of later
-    unknowns; it is stored until the front above reads it. Each depth of a subtree with small updates is a batch, from
-    the deepest fronts up; above these subtrees each front is a batch. If the matrix falls apart into several trees and
-    all of them together are small enough, they count as one subtree.
+    A front is a set of unknowns that are eliminated together. It leaves an update, which is stored until the front
+    above reads it. A subtree with small updates is a grove.
+
+    * The branches within a grove are its first batch; then each depth of it is a batch, the deepest first.
+    * Every other front or branch is a batch of its own.
+    * If the matrix falls apart into several trees whose updates are small all together, these are one grove.
 
     pattern : the fronts.
     size : (fronts,) doubles of the update of each front.
-    most : largest number of doubles in all updates of such a subtree; updates inside branches do not count.
-    branches : (n, 2), first front of each branch and the front after its last: subtrees that one kernel call eliminates
-        whole. Those within a small subtree form its first batch.
+    most : largest number of doubles in all updates of a grove; updates inside branches do not count.
+    branches : (n, 2), first front of each branch and the front after its last: subtrees that one call eliminates whole.
     """
     of_branch, lasting = branch_of(len(size), branches), size.copy()
     for first, end in branches.tolist():

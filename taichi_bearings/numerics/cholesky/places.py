@@ -68,14 +68,15 @@ def branch_of(fronts: int, branches: np.ndarray) -> np.ndarray:
 def places_of_updates(
     parent: np.ndarray, size: np.ndarray, batches: list[np.ndarray], branches: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return for each front where its update lies, (fronts,), in doubles from the start of the memory for updates; and
-    for each batch, (batches,), how many doubles from there on are in use while it is worked on.
+    """Return where the update of each front is stored, and how much of the memory for updates each batch needs.
 
     parent : (fronts,) index of the front above each, or -1.
-    size : (fronts,) doubles of each update.
+    size : (fronts,) doubles of each update, the matrix that a front adds to that of later unknowns.
     batches : for each batch the indices of its fronts, which are worked on at once; children come first.
     branches : (n, 2), first front and end of each subtree whose fronts are worked on one after the other, while other
         branches of its batch are worked on as well. Only the update of its last front outlasts the batch.
+    returns : (fronts,) begin of each update, and (batches,) end of what is in use while each batch is worked on; both
+        in doubles from the start of the memory for updates.
     """
     members = [of.tolist() for of in batches]
     if not len(branches):
@@ -108,23 +109,24 @@ def places_of_updates(
 def _places(
     parent: np.ndarray, size: np.ndarray, batches: list[list[int]], scratch: list[int]
 ) -> tuple[np.ndarray, np.ndarray, list[int]]:
-    """Return for each front where its update lies, (fronts,), in doubles from the start of the memory for updates; for
-    each batch, (batches,), how many doubles from there on are in use while it is worked on; and for each batch where it
-    has its scratch memory.
+    """Return where updates are stored, how much memory each batch needs, and where the scratch memory of each batch is.
 
-    parent : (fronts,) index of the front above each, or -1 if no front takes its update: then it stays.
-    size : (fronts,) doubles of each update.
+    parent : (fronts,) index of the front above each, or -1 if no front reads its update: then it stays.
+    size : (fronts,) doubles of each update, the matrix that a front adds to that of later unknowns.
     batches : for each batch the indices of its fronts, which are worked on at once; children come first.
     scratch : doubles that each batch needs besides, while it is worked on.
+    returns : (fronts,) begin of each update; (batches,) end of what is in use while each batch is worked on; begin of
+        the scratch memory of each batch. All are in doubles from the start of the memory for updates.
     """
     free, places, doubles, number = Stretches(), [0] * len(size), size.tolist(), len(batches)
     extents, starts, batch = [0] * number, [0] * number, [number] * (len(size) + 1)  # the last one is that of no parent
-    taken = [list[int]() for _ in range(number + 1)]  # for each batch the fronts whose updates it takes
+    taken = [list[int]() for _ in range(number + 1)]  # for each batch the fronts whose updates it reads
     for number, members in enumerate(batches):
         for front in members:
             batch[front] = number
     for front, above in enumerate(parent.tolist()):
         taken[batch[above]].append(front)
+    # backwards in time: each batch allots memory to the updates that it reads, and frees that of those it makes
     for number in range(len(batches), -1, -1):
         # the largest first, as they fit into the fewest stretches
         for front in sorted(taken[number], key=doubles.__getitem__, reverse=True):

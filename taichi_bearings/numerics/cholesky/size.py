@@ -1,6 +1,7 @@
 """Predicts how many numbers a factorisation of a lattice holds, from its dissection, before anything of it is made."""
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,30 +11,36 @@ from taichi_bearings.numerics.cholesky.tuning import GROVE_NUMBERS, LAUNCH_UNKNO
 
 # measured: updates take so much more memory, as fronts are joined and several branches are eliminated at once
 JOINED = 2.0
-Tree = tuple[float, float, tuple[float, ...]]
-"""Memory that the elimination of a region of the lattice takes, in doubles: size of its factor; the most that is in use
-at one time, of the factor and of update matrices together; total size of the update matrices at each depth of the
-dissection, beginning with that of the region itself. (An update matrix is what the elimination of some unknowns adds to
-the matrix of later ones.)"""
+
+
+class Tree(NamedTuple):
+    """Memory that the elimination of a region of the lattice takes, in doubles.
+
+    factor : size of the columns of the factor.
+    most : the most that is in use at one time, for columns and updates. (An update is what is added to later unknowns.)
+    updates : total size of the updates at each depth of the dissection, beginning with that of the region itself.
+    """
+
+    factor: float
+    most: float
+    updates: tuple[float, ...]
 
 
 @lru_cache(maxsize=64)
 def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
-    """Predict the number of doubles in a factorisation of the free spins of a lattice, to some 15 percent: its columns,
-    and its updates (what fronts leave for later ones) at their most.
+    """Predict, to some 15 percent, the most doubles that a factorisation of the free spins of a lattice takes at one
+    time: columns of the factor, and updates (what fronts leave for later ones).
 
-    lattice : whose spheres rotate.
+    lattice : the lattice of spheres.
     spin_axes : axes of the spin components that are unknown.
     """
     shape, known = lattice.free_shape, dict[tuple[object, ...], Tree]()
 
     def tree(region: Region) -> Tree:
-        """Return the memory that the elimination of a region takes, in doubles: (size of its factor, the most in use at
-        one time, total size of update matrices at each depth of the dissection). An update matrix is what eliminated
-        unknowns add to the matrix of later ones. It is computed once for all regions that are shifted copies of each
-        other and have equal borders.
+        """Return the memory that the elimination of a region takes, computed once for all regions that are shifted
+        copies of each other and have equal borders.
 
-        region : by spin component, a box of spheres.
+        region : for each spin component a box of spheres.
         """
         corner = np.min([low for low, _ in region.values()], axis=0)
         moved = [(c, *np.subtract(box, corner).ravel().tolist()) for c, box in region.items()]
@@ -44,30 +51,30 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
         return known[alike]
 
     def divided(region: Region, border: float) -> Tree:
-        """Return the memory that the elimination of a region takes, as :func:`tree` does. The two halves of the region
-        are eliminated first, then the separator between them. Small ones are not divided.
+        """Return the memory that the elimination of a region takes: first of both halves, then of the separator between
+        them. A region with few unknowns is not divided.
 
-        region : by spin component, a box of spheres.
+        region : for each spin component a box of spheres.
         border : number of unknowns outside that contacts couple to the region.
         """
         inside, update = unknowns(region), border * (border + 1) / 2
         division = divide(region, len(shape)) if inside > LEAF_UNKNOWNS else None
         if division is None:
-            return inside * (inside + border), inside * (inside + border) + update, (update,)
+            return Tree(inside * (inside + border), inside * (inside + border) + update, (update,))
         below, separator, above = division
         parts, own = [tree(side) for side in (below, above) if side], unknowns(separator)
         if not own:  # parts that nothing couples have no update in common
-            update = sum(part[2][0] for part in parts)
-        depths = max(len(part[2]) for part in parts)
-        levels = [update, *(sum(part[2][n] for part in parts if n < len(part[2])) for n in range(depths))]
-        columns = sum(part[0] for part in parts) + own * (own + border) - own * max(0.0, own - SHEET_COLUMNS) / 2
+            update = sum(part.updates[0] for part in parts)
+        depths = max(len(part.updates) for part in parts)
+        levels = [update, *(sum(part.updates[n] for part in parts if n < len(part.updates)) for n in range(depths))]
+        columns = sum(part.factor for part in parts) + own * (own + border) - own * max(0.0, own - SHEET_COLUMNS) / 2
         if sum(levels) <= grove:  # small: eliminated depth by depth, so updates of two depths are alive
             most = max(above + below for above, below in zip(levels, [*levels[1:], 0.0], strict=True))
-            return columns, columns + JOINED * most, tuple(levels)
+            return Tree(columns, columns + JOINED * most, tuple(levels))
         # large: one half after the other; factor and update of the first are kept until the second is done
-        before = np.cumsum([0.0, *(part[0] + part[2][0] for part in parts)])
-        most = max(*(wait + part[1] for wait, part in zip(before, parts, strict=False)), columns + levels[1] + update)
-        return columns, most, tuple(levels)
+        before = np.cumsum([0.0, *(part.factor + part.updates[0] for part in parts)])
+        most = max(*(wait + part.most for wait, part in zip(before, parts, strict=False)), columns + levels[1] + update)
+        return Tree(columns, most, tuple(levels))
 
     low = {c: tuple(int(a in lattice.periodic and a != c) for a in range(len(shape))) for c in spin_axes}
     whole = {
@@ -76,7 +83,7 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
     size = len(spin_axes) * float(np.prod(shape))
     last = size - unknowns(whole)  # the planes where periodic axes are cut open
     grove = GROVE_NUMBERS if size >= LAUNCH_UNKNOWNS else -1  # smaller matrices are eliminated front by front
-    return (tree(whole)[1] if whole else 0.0) + last**2
+    return (tree(whole).most if whole else 0.0) + last**2
 
 
 def _border(region: Region, lattice: Lattice) -> float:

@@ -40,5 +40,5 @@ PANEL_COLUMNS = 64  # own columns of a front that are worked on together; a divi
 SHARED_FRONT_OPERATIONS = 1e7  # threads share a front that takes more operations
 SHARED_BATCH_OPERATIONS = 3e6  # threads share the fronts of a batch that takes more operations
 SHARED_ASSEMBLY_NUMBERS = 500_000  # a team of threads assembles a batch of more numbers faster than one thread
-ASSEMBLY_NUMBERS = 30_000  # least numbers that one thread fills at a time
+ASSEMBLY_NUMBERS = 30_000  # most numbers that one thread fills at a time, but for single columns of large fronts
 BRANCH_SHARE = 1 / 16  # most of the factor that one thread solves with; the same for any number of threads: same bits

@@ -35,10 +35,10 @@ class MinimumCuts:
         positive towards the higher index; balanced but in the end rows.
     sideways_tied, upward_tied : of the same shapes, True for contacts with weight that are in some but not in all
         minimum cuts.
-    weight : (B,) size of the flow, which is the weight of the cut with the weight of each contact rounded down to a
-        multiple of some 2^-50 of it; 0 where contacts with weight do not join bottom and top.
-    next_weight : (B,) weight of the lightest other cut that leaves either side connected, rounded as `weight`. It
-        equals `weight` for ties, else it is larger; NaN where contacts without weight hide it.
+    weight : (B,) size of the flow. It is the weight of the cut after that of each contact was rounded down to whole
+        units of about 2^-50 of the sum; 0 where contacts with weight do not join bottom and top.
+    next_weight : (B,) weight of the lightest other cut that leaves the spheres of either side connected, rounded
+        likewise: equal to `weight` for ties, else larger; NaN where contacts without weight hide it.
     """
 
     above: np.ndarray

@@ -35,10 +35,7 @@ class ShortestPaths:
     upward: np.ndarray
 
     def pick(self, which: np.ndarray) -> "ShortestPaths":
-        """Return the paths of some of the grids.
-
-        which : (n,), numbers of these grids, from 0.
-        """
+        """Return the paths of the n grids with the numbers `which`, (n,), counted from 0."""
         return ShortestPaths(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
 
 

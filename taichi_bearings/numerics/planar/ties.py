@@ -63,9 +63,9 @@ def _steps_in_doubt(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[np.ndarray]]:
     """Return the steps (crossings of one contact in one direction) that may lie on a lightest path by exact weights.
 
-    Weights are rounded down to multiples of a unit, which makes each contact lighter by less than one unit. So a path
-    that is lightest by exact weights is longer, by rounded ones, than the shortest by less than one unit for each
-    contact of the latter. All steps on paths so short are returned.
+    Rounding weights down to multiples of a unit makes a path of n contacts shorter by less than n units. So if the
+    shortest path by rounded weights has n contacts, a path that is lightest by exact weights is, by rounded ones,
+    longer than it by less than n units. The steps of all paths that are no longer than that are returned.
 
     inner, upward : weights of the contacts of B grids of w columns and h rows: along rows, without the end rows, (B, w
         - 1, h - 2); between rows, (B, w, h - 1).
@@ -110,8 +110,8 @@ def _lightest(steps: list[Step], left: int, right: int) -> tuple[list[int], list
         own.append(before[face])
         face = steps[own[-1]][0]
     own.reverse()
-    # ends of the intervals of the path's contacts on the line of distances; `change` counts the other contacts of
-    # lightest paths that begin, less those that end, to overlap each of these intervals
+    # The contacts of the path divide the line of distances at `spots`. `change` has, for each of these intervals, how
+    # many other contacts of lightest paths begin to overlap it, less how many overlapped the one before but not it.
     spots = [0, *(from_left[steps[number][1]] for number in own)]
     unshared, change, of_path = list[int](), [0] * (len(own) + 1), set(own)
     for number, (tail, head, weight) in enumerate(steps):
