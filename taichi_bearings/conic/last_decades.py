@@ -45,8 +45,7 @@ EPS = np.finfo(np.float64).eps
 class LastDecades:
     """A point of the central path, whose spins are sums of two doubles; it is moved along the path to its end.
 
-    On the path slip times margin is about the same for all n contacts; the margin is the share of its friction that a
-    contact has left.
+    Letters: n contacts. The margin of a contact is the share of its friction that it has left.
 
     point : the iterate; its field `spins` holds only the low parts of the spins.
     spins : (unknowns,), the whole spins as (high, low).
@@ -55,19 +54,19 @@ class LastDecades:
     """
 
     def __init__(self, iterate: Iterate, spins: Pair, difference: np.ndarray, matrix: NewtonMatrix) -> None:
-        """Begin at a point of the path.
+        """Begin at a point of the path, given in doubles and, for spins and slips, more precisely.
 
-        iterate : the point; not changed.
-        spins : (unknowns,), the spins there as sums of two doubles, more precise than those of `iterate`.
-        difference : (d, n), the slips there, of n contacts with up to d components, more precise than those of
-            `iterate`.
+        iterate : the point in doubles; not changed.
+        spins : (unknowns,), the spins there as sums of two doubles. Steps will change their low parts alone.
+        difference : (d, n), the slips that follow from these spins, of n contacts with up to d components.
         matrix : Newton matrix of the system of contacts.
         """
-        self._large, self._matrix = spins[0], matrix  # (unknowns,), high parts of the spins, which do not change
+        self._large, self._matrix = spins[0], matrix
+        # The bounds keep their distance above the slips.
         bound = iterate.bound - length(iterate.difference) + length(difference)
         self.point = replace(iterate, spins=spins[1], bound=bound, difference=difference)
         self.sticking = self.at_limit = np.zeros(len(iterate.friction), dtype=bool)
-        # (n,) slip over margin, and the product, at the point before; 0 and infinity if there is none
+        # One step before: slip over margin (n,), and the product; 0 and infinity if no such point is known.
         self._ratios, self._product = np.zeros(len(iterate.friction)), np.inf
         self._raised = 0  # index in DIAGONAL_SHIFTS of the addition to the diagonal in the last step
 
@@ -86,8 +85,7 @@ class LastDecades:
         return path
 
     def over(self, tied: Contraction) -> "LastDecades":
-        """Return this point of the path for a smaller system, in which some contacts are tied: the spins at their two
-        ends are made equal, as one unknown.
+        """Return this point of the path for a smaller system, in which some contacts are tied.
 
         tied : the system of the contacts that are left.
         """
@@ -107,58 +105,72 @@ class LastDecades:
         return self._large, self.point.spins
 
     def decide(self, doubtful: int = 0, to_the_end: bool = False) -> np.ndarray | None:
-        """Go on along the path until it is decided which of the n contacts slip. Return a mask (n,) of these; None if
-        that fails. Set `sticking`, and, if the path has come to its end, `at_limit`. The next call goes on from there
-        by at least one step.
+        """Go on along the path until it is decided which of the n contacts slip, by the rule at the head of this file.
+        Return a mask (n,) of these; None if that fails. The next call goes on by at least one step.
 
-        On the path slip times margin, the product, is about the same for all contacts; the margin is the share of its
-        friction that a contact has left. Towards the end the margin vanishes where a contact slips, and the slip where
-        it sticks. So a contact is decided if the ratio slip / margin changes faster than a power DECIDED_EXPONENT of
-        the product.
+        Sets `sticking`, and, if the path has come to the end of double precision, `at_limit`.
 
         doubtful : number of contacts that may be left undecided.
         to_the_end : True to go on until double precision ends, even if all contacts are decided.
         """
-        before, last, stalled, fell = self._ratios, self._product, 0, np.ones(len(self.point.friction), dtype=bool)
+        before, last, stalled = self._ratios, self._product, 0  # ratios and product one step before
+        fell = np.ones(len(before), dtype=bool)  # (n,) mask: the ratio fell in the step before that, or is not known
         late: tuple[np.ndarray, float] | None = None  # margins and product at the first point below VANISHING_PRODUCT
         for _ in range(MOST_NEWTON_STEPS):
             ratios, product = self.point.slip_over_margin, self.point.complementarity
             if not product > 0:  # it underflows where coefficients differ by thirty decades
                 return None
-            stalled = stalled + 1 if product > STALLED_SHARE * last else 0
-            # Exponent with which slip / margin changes with the product over the last step.
+            # Exponent with which slip / margin rises (or falls, below 0) with 1 / product over the last step.
             power = np.log(ratios / before) / abs(np.log(product / last))
             decided = (np.abs(power) > DECIDED_EXPONENT) | (ratios > SLIPPING_RATIO)
+            # The path ends if enough is decided and torques balance, or if rounding has stalled it.
             enough = product < LEAST_PRODUCT or (not to_the_end and (~decided).sum() <= doubtful)
-            ended = enough and self.point.unbalanced < JUDGED_TORQUE
-            if ended or stalled == MOST_STALLED_STEPS:
-                falls = fell & (power < -DECIDED_EXPONENT) if product > VANISHING_PRODUCT else True
+            stalled = stalled + 1 if product > STALLED_SHARE * last else 0
+            if (enough and self.point.unbalanced < JUDGED_TORQUE) or stalled == MOST_STALLED_STEPS:
+                # Contacts surely stick if their ratio is small, and, unless the product has vanished, fell fast twice.
+                falls = (fell & (power < -DECIDED_EXPONENT)) | (product <= VANISHING_PRODUCT)
                 self.sticking = falls & (ratios < STICKING_RATIO) & (self.point.margin > STICKING_MARGIN)
                 self._ratios, self._product = np.zeros_like(before), np.inf
+                # Contacts slip with a large ratio; before the end of double precision, also with one that rises.
                 if product >= LEAST_PRODUCT or late is None:
                     return (ratios > 1) | (ratios > before)
-                # While the product falls, the margin of a contact that slips falls like it, that of one that sticks
-                # stays; at the limit it falls like the root, or the fourth root, of the product.
-                margin, rests = self.point.margin, ratios < 1
-                power = np.log(margin / late[0]) / np.log(product / late[1])
-                full = (np.abs(power - 0.5) < AT_LIMIT_EXPONENTS) | (rests & (margin < LOST_MARGIN))
-                self.at_limit = ~self._smooth & full
+                self.at_limit = self._seem_at_limit(ratios, product, *late)
                 return (ratios > 1) & ~self.at_limit
             if late is None and product < VANISHING_PRODUCT:
                 late = self.point.margin, product
-            # Contacts with so large slips that rounding hides their distance from the cone leave it, if it is decided
-            # that they slip.
-            far = length(self.point.difference) > max(product / (1000 * EPS), 100 * np.sqrt(product))
-            slips = far & ((power > DECIDED_EXPONENT) | self._smooth)
-            self.point = newton_step(self.point.let_slip(slips), self._matrix, self._raised)
-            self._raised = self._matrix.raised  # the next matrix, with larger ratios of stiffnesses, needs no less
+            self._step(product, rises=power > DECIDED_EXPONENT)
             before, last, fell = ratios, product, ~(power > -DECIDED_EXPONENT)
         return None
 
+    def _seem_at_limit(
+        self, ratios: np.ndarray, product: float, late_margin: np.ndarray, late_product: float
+    ) -> np.ndarray:
+        """Return a mask (n,) of the contacts at their limit, judged where double precision ends. While the product
+        falls, a margin falls like it at contacts that slip, and stays at those that stick; at the limit it falls like
+        the root, or the fourth root, of the product.
+
+        ratios, product : slip / margin (n,), and the product, at this point.
+        late_margin, late_product : margins (n,), and the product, at an earlier point.
+        """
+        margin = self.point.margin
+        power = np.log(margin / late_margin) / np.log(product / late_product)
+        full = (np.abs(power - 0.5) < AT_LIMIT_EXPONENTS) | ((ratios < 1) & (margin < LOST_MARGIN))
+        found: np.ndarray = ~self._smooth & full
+        return found
+
+    def _step(self, product: float, rises: np.ndarray) -> None:
+        """Make one Newton step. Before it contacts leave their cones that are known to slip, and slip so far that
+        rounding hides their distance from the cone; those that have left stay outside as long as they slip so far.
+
+        product : the product at this point.
+        rises : (n,) mask of the contacts that are decided to slip, as slip / margin rose in the last step.
+        """
+        far = length(self.point.difference) > max(product / (1000 * EPS), 100 * np.sqrt(product))
+        self.point = newton_step(self.point.let_slip(far & (rises | self._smooth)), self._matrix, self._raised)
+        self._raised = self._matrix.raised  # the next matrix, with larger ratios of stiffnesses, needs no less
+
     @property
     def _smooth(self) -> np.ndarray:
-        """(n,) mask of the contacts that have left their cones and obey the law of friction exactly: all friction along
-        the slip.
-        """
+        """(n,) mask of the contacts that have left their cones and obey the law of friction exactly."""
         none = np.zeros(len(self.point.friction), dtype=bool)
         return none if self.point.smooth is None else self.point.smooth
