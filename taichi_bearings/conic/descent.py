@@ -89,15 +89,14 @@ class Descent:
         settles: bool,
         asked: bool = True,
     ) -> None:
-        """Prepare a descent; the subclass sets `samples`. To settle contact states is to find which contacts slip at
-        the minimum.
+        """Prepare a descent; the subclass sets `samples`.
 
         shared : system, order of elimination and Newton matrix of all samples.
         spheres : number of spheres, by which the first gap for settling is chosen.
         small : True if several samples are solved together, as is faster in small networks.
         settles : True if this descent can settle contact states: the force of the law does not depend on the slip
             speed, so some contacts rest.
-        asked : True if the caller wants contact states, and not only a bound on the power.
+        asked : True if contact states are wanted, and not only a bound on the power.
         """
         self.shared, self.spheres, self.small, self.settles, self.asked = shared, spheres, small, settles, asked
         self.step_seconds = 0.0  # duration of the last Newton step, seconds
@@ -108,10 +107,11 @@ class Descent:
 
         Small samples take their steps together, as many as a path has places; where one leaves, another takes its
         place. The last few take their steps alone, as empty places cost as much time as others; but not before the
-        kernels for that are loaded. Samples near the end of their paths wait for others, as settling their states
-        together takes half the time.
+        kernels for that are loaded.
         """
-        at_end = [(sample, sample.steps + steps) for sample in self.samples if sample.at_end]  # of an earlier call
+        # Three lists of samples, each with the number of steps at which it pauses: those whose states are settled next,
+        # those that wait for a place on the path, and those on the path, by place.
+        at_end = [(sample, sample.steps + steps) for sample in self.samples if sample.at_end]
         waiting = deque((of, of.steps + steps) for of in self.samples if not (of.done or of.at_end))
         if not (at_end or waiting):
             return
@@ -120,11 +120,13 @@ class Descent:
         with one_thread():  # fronts are shared among threads here, not inside the library
             try:
                 while waiting or going or at_end:
+                    # Settle the states of as many samples as fit together, which takes half the time.
                     if len(at_end) >= together or not (waiting or going):
                         some, at_end = at_end[:together], at_end[together:]
                         self._settle([sample for sample, _ in some])
                         waiting += [(sample, last) for sample, last in some if not sample.done and sample.steps < last]
                         continue
+                    # For the last few samples change to a path with one place.
                     few = len(waiting) + len(going) <= MOST_ALONE and self.shared.matrix.is_ready_for(1)
                     places = 1 if few else together
                     if places != path.samples:
@@ -132,6 +134,7 @@ class Descent:
                             self._leave(path, place, sample)
                         waiting += going.values()
                         path, going = Path(self.shared.matrix, places, self.small), {}
+                    # Fill the free places, and take a step.
                     for place in [place for place in range(places) if place not in going][: len(waiting)]:
                         going[place] = waiting.popleft()
                         path.put(place, going[place][0].iterate)
@@ -139,6 +142,7 @@ class Descent:
                     taken = path.step()
                     self.step_seconds = time.perf_counter() - began
                     self._judge({place: sample for place, (sample, _) in going.items()}, path, taken)
+                    # Samples that are done, near the end or at their last step leave the path.
                     for place, (sample, last) in list(going.items()):
                         if sample.done or sample.at_end or sample.steps == last:
                             self._leave(path, place, going.pop(place)[0])
@@ -161,11 +165,9 @@ class Descent:
 
     @property
     def settles_at(self) -> float:
-        """Relative gap, (cost - lower bound) / cost, below which it is first tried to settle contact states, that is to
-        find out which contacts slip at the minimum: SETTLING_GAP in large samples. In small ones it depends on the
-        number of spheres (`_small_gap`); it is larger where there will be a second trial, and at most
-        FIRST_SETTLING_GAP.
-        """
+        """Relative gap below which it is first tried to settle contact states: SETTLING_GAP in large samples. In small
+        ones it depends on the number of spheres (`_small_gap`); it is larger where there will be a second trial, and at
+        most FIRST_SETTLING_GAP."""
         if not self.small:
             return SETTLING_GAP
         return min(self._small_gap * (EARLIER_FACTOR if self._tries_twice else 1.0), FIRST_SETTLING_GAP)
@@ -203,19 +205,21 @@ class Descent:
 
     def _near(self, sample: Sample) -> float:
         """Return the relative gap below which the next trial to settle the contact states of a sample comes; 0 if no
-        trial comes before the path ends. In large samples each trial that fails is followed by another when the gap has
-        fallen by RETRY_FACTOR; small samples have one or two trials. In samples that may have several minima the first
-        comes at SETTLING_GAP at the latest, as settling then follows the path on with fewer unknowns."""
+        trial comes before the path ends."""
+        if not self.settles:
+            return 0.0
+        # With several minima not below SETTLING_GAP: settling then follows the path on with fewer unknowns.
         first = max(self.settles_at, SETTLING_GAP) if sample.may_have_several_minima else self.settles_at
-        again = sample.tried / RETRY_FACTOR  # infinite before the first trial
-        if self.small and math.isfinite(sample.tried):
-            again = 0.0 if self._is_last(sample.tried) else self.settles_at / RETRY_FACTOR
-        return min(first, again) if self.settles else 0.0
+        if not math.isfinite(sample.tried):  # no trial yet
+            return first
+        if not self.small:
+            return min(first, sample.tried / RETRY_FACTOR)
+        return 0.0 if self._is_last(sample.tried) else min(first, self.settles_at / RETRY_FACTOR)
 
     def _is_last(self, gap: float) -> bool:
-        """Return True if a trial to settle contact states at the relative gap `gap` is the last one of a sample, which
-        follows the path to its end. All trials are, but for the first of two in small samples: if that fails, a few
-        more steps together with other samples take less time than following the path to its end alone."""
+        """Return True if a trial to settle contact states, at the relative gap `gap`, follows the path to its end. Only
+        the first of two trials of small samples does not: where it fails, a few more steps together with other samples
+        take less time than to follow the path to its end alone."""
         return not self._tries_twice or gap < self.settles_at / RETRY_FACTOR
 
     def _gap(self, sample: Sample, path: Path, place: int) -> float:
@@ -226,13 +230,15 @@ class Descent:
         path : the path on which it is, together with others.
         place : its place among the samples there.
 
-        Unbalanced forces lower the bound. If this loss, the price of torques, is larger than the gap, forces are
-        balanced first, with two exceptions:
+        Unbalanced forces lower the bound. If this loss, the price of torques, is above the gap and LEAST_GAP, the first
+        of these rules that applies is followed:
 
-        * before the next trial to settle states, and if balancing takes as long as a step, the loss is added to the gap
-          instead;
-        * else a loss below SETTLING_GAP is ignored if no states are settled here, or, as settling balances forces
-          itself, if the gap is still above LEAST_GAP.
+        1. If no states are settled here, a loss below SETTLING_GAP is ignored.
+        2. If states are wanted, the next trial to settle them is not due, and balancing takes as long as a step, the
+           loss is added to the gap.
+        3. If states are wanted and the gap is above LEAST_GAP, a loss below SETTLING_GAP is ignored, as settling
+           balances forces itself.
+        4. Forces are balanced, and the sample goes on from there.
         """
         gap = path.gap(place)
         price = 0.0 if gap > DISTANT_GAP else path.price_of_torques(place)
