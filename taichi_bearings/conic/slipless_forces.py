@@ -4,9 +4,9 @@ Slipping contacts have all their friction mu F_n along their slip, and so exert 
 these with forces |f| <= mu F_n, unless in some motion of the spheres the torques do more work than friction at the
 slipless contacts can take up (Farkas' lemma). Near the end of the central path its forces nearly balance. They are
 changed by the forces of fictitious springs at the contacts, whose stiffness is the square of the *room* mu F_n - |f|,
-until all torques balance. If a force would exceed its limit, the change goes part of the way and is computed anew. If
-that fails, small samples try springs with the stiffness of a barrier at the friction limits, with which a change goes
-further. Where no forces are found, the caller follows the path on.
+until all torques balance. If a force would exceed its limit, then in samples that may have several minima the change
+goes part of the way and is computed anew. If that fails, small samples try springs with the stiffness of a barrier at
+the friction limits, with which a change goes further. Where no forces are found, the caller follows the path on.
 
 Letters: n contacts with up to d slip components. "dual" is minus the force.
 """
@@ -64,35 +64,34 @@ def nearly_borne(
         other, but to no driven plane. It is held by a further spring, so that the matrix is regular.
     returns : minus the forces (d, samples * n), in balance; mask (samples,) of the samples in which none of them
         exceeds friction.
-
-    Letters: n contacts with up to d slip components.
     """
     samples, duals = len(heads), _samples_last(dual, len(heads))
     limit = _samples_last(np.where(at_limit, friction, np.inf), samples) if at_limit.any() else None
     duals = duals if limit is None else _without_noise(duals, limit)
     held_spins = np.stack(heads, axis=1).astype(float)  # springs at the heads; none is stretched
-    found, going = np.zeros(samples, dtype=bool), np.ones(samples, dtype=bool)
-    held = at_limit.reshape(samples, -1).any(axis=1)
+    found, going = np.zeros(samples, dtype=bool), np.ones(samples, dtype=bool)  # masks of samples
+    with_limit = at_limit.reshape(samples, -1).any(axis=1)
     for _ in range(MOST_BALANCES):
+        # Balance the torques by springs as stiff as the room squared.
         here = _samples_joined(duals)
         least = np.where(at_limit, ROOM_AT_LIMIT * friction, 0.0)
-        # Balance with springs as stiff as the room squared, and the largest share of that change within all limits.
         room = np.where(slipping, 0.0, np.maximum(friction - length(here), least))
         springs = _samples_last(room**2, samples)
         going = going & matrix.factorise_springs(springs, held_spins)
         balanced = duals
         for _ in range(REFINEMENTS):  # as in NewtonMatrix.balanced
             balanced = _balanced(system, matrix, _cut(balanced, limit), springs, going)[0]
+        # The share of that change at which a first limit is reached: above 1 forces are found, below LEAST_REACH none.
         reach = _reach(friction, here, _samples_joined(balanced), slipping | at_limit, samples)
         ended = going & (reach > 1)
         going = going & (reach > LEAST_REACH)
         if (going & ~ended).any():
             of_each = zip(np.split(friction, samples), np.split(at_limit, samples), strict=True)
             going = going & (ended | [may_have_several_minima(*of) for of in of_each])
-        if limit is not None and (cut := ended & held).any():
+        if limit is not None and (cut := ended & with_limit).any():
             balanced = _cut_and_balanced(system, matrix, balanced, springs, limit, cut)
         found |= ended
-        # Change forces by all of that if no limit is reached, else go most of the way to the first limit.
+        # Forces change by all of that, or go most of the way to the first limit.
         share = np.where(going & (reach <= 1), SHARE_OF_WAY * reach, 1.0)
         duals, going = np.where(going, _towards(duals, balanced, share), duals), going & ~found
         if not going.any():
@@ -127,8 +126,6 @@ def balanced_by_barrier(
     going : (samples,) mask of the samples whose forces are sought.
     returns : minus the forces (d, samples * n); mask (samples,) of the samples in which all torques balance and none of
         the forces exceeds friction.
-
-    Letters: n contacts with up to d slip components.
     """
     samples, duals = len(heads), _samples_last(dual, len(heads))
     limit, slips = (_samples_last(of, samples).ravel() for of in (friction, slipping))
@@ -174,17 +171,13 @@ def balanced_inside(
     slipping: np.ndarray,
     heads: np.ndarray,
 ) -> tuple[np.ndarray | None, np.ndarray]:
-    """Return minus the forces (d, n) of one sample that balance all torques, where those of slipping contacts stay and
-    the others are within friction; None if none are found. Return also for each contact by how many steps its force
-    could change until it reaches its limit, (n,): that is finite only in clusters in which no forces balance.
+    """Return forces of one sample that balance all torques, if such are found. Forces of slipping contacts stay; those
+    of slipless contacts change, and are within friction.
 
-    In each step fictitious springs at the contacts balance the torques. Their stiffness is the inverse second
-    derivative of the barrier -log(friction^2 - |force|^2): along a force close to its limit it is far smaller than
-    across it, so that steps go far. The matrix couples spins at slipless contacts only, which takes a thousandth of the
-    operations of a Newton step: 0.06 instead of 108 billion at 48^3. It falls apart into clusters of spheres that
-    slipless contacts join. In each cluster a step goes as far as the contacts of the cluster allow, so that a cluster
-    in which no forces balance does not stop others. The forces of such a cluster stay where they are once its contacts
-    have twice allowed less than a share LEAST_REACH of a step.
+    Spheres that slipless contacts join form *clusters*. Each is balanced by itself, by springs as in
+    :func:`balanced_by_barrier`: along a force close to its limit they are far softer than across it, so that steps go
+    far. Their matrix falls apart into clusters. A factorisation takes a thousandth of the operations of a Newton step,
+    0.06 instead of 108 billion at 48^3.
 
     system : the n contacts, whose slips are differences of two unknowns.
     order : (unknowns,), order in which the unknowns are eliminated.
@@ -192,10 +185,12 @@ def balanced_inside(
     dual : (d, n), minus the forces to begin with; those of slipless contacts are within friction.
     slipping : (n,) mask of contacts that slip.
     heads : (unknowns,) mask of spins that are held, as in :func:`nearly_borne`.
+    returns : minus the forces (d, n), None if none are found; and the multiple (n,) of the last step at which the force
+        of each contact reaches its limit, infinite except in clusters in which no forces balance.
 
-    Raises NotPositiveDefinite if the matrix is singular to working precision. Letters: n contacts with up to d slip
-    components.
+    Raises NotPositiveDefinite if the matrix is singular to working precision.
     """
+    # The system of the slipless contacts, and the torques that their forces have to balance.
     own, fixed = np.flatnonzero(~slipping), system.torques(np.where(slipping, dual, 0.0))
     part, joined = _of_contacts(system, own)
     number = np.cumsum(joined) - 1
@@ -203,6 +198,7 @@ def balanced_inside(
     limit, inside, load, held = friction[own], dual[:, own], -fixed[joined], heads[joined].astype(float)
     cluster, factors, reach = _clusters(part), np.zeros(len(own)), np.ones(len(own))
     for _ in range(MOST_INSIDE_STEPS):
+        # The whole step to balance, and the share `reach` of it that all contacts of a cluster allow.
         stiffness = _stiffness_inside(limit, inside)
         matrix.factorise(stiffness, held)
         balanced = matrix.stretched(inside, partial(resisted, stiffness), load)
@@ -210,6 +206,7 @@ def balanced_inside(
         of_clusters, last = np.full(len(factors), np.inf), reach
         np.minimum.at(of_clusters, cluster, factors)
         reach = of_clusters[cluster]
+        # A cluster takes the whole step and is balanced, or most of the share. It stays if the share was tiny twice.
         goes_on = (reach <= 1) & (np.maximum(reach, last) > LEAST_REACH)
         inside = _towards(inside, balanced, np.where(reach > 1, 1.0, np.where(goes_on, SHARE_OF_WAY * reach, 0.0)))
         if not goes_on.any():
@@ -280,24 +277,20 @@ def _without_noise(dual: np.ndarray, limit: np.ndarray) -> np.ndarray:
 
     dual : (d, n, samples), minus the forces.
     limit : (n, samples), friction of the contacts that may rest at their limit, infinite for others.
-
-    Letters: n contacts with up to d slip components.
     """
     along = np.abs(dual) > NOISE_ACROSS * np.abs(dual).max(axis=0)
     near = _at_limit(dual, limit, NEAR_LIMIT)
     return _cut(np.where(along | ~near, dual, 0.0), limit, NEAR_LIMIT)
 
 
-def _at_limit(dual: np.ndarray, limit: np.ndarray, missed: float) -> np.ndarray:
-    """Return a mask (n, samples) of the contacts whose force is at or beyond its limit, up to a share of it.
+def _at_limit(dual: np.ndarray, limit: np.ndarray, tolerance: float) -> np.ndarray:
+    """Return a mask (n, samples) of the contacts whose force is above (1 - tolerance) times its limit.
 
-    dual : (d, n, samples), minus the forces.
-    limit : (n, samples), infinite for contacts that are not at their limit.
-    missed : the share.
-
-    Letters: n contacts with up to d slip components.
+    dual : (d, n, samples), minus the forces, with up to d slip components.
+    limit : (n, samples), friction of the n contacts that may rest at their limit, infinite for others.
+    tolerance : a number far below 1.
     """
-    found: np.ndarray = np.sqrt((dual**2).sum(axis=0)) > (1 - missed) * limit
+    found: np.ndarray = np.sqrt((dual**2).sum(axis=0)) > (1 - tolerance) * limit
     return found
 
 
@@ -312,8 +305,6 @@ def _balanced(
     duals : minus the forces before, (d, n, samples).
     springs : (n, samples), stiffnesses of the springs.
     going : (samples,) mask of samples to change.
-
-    Letters: n contacts with up to d slip components.
     """
     torques = system.torques(duals)
     nearer = duals - springs * system.change(matrix.solve(torques))
@@ -349,18 +340,19 @@ def _cut_and_balanced(
     return _cut(duals, limit)
 
 
-def _cut(dual: np.ndarray, limit: np.ndarray | None, missed: float = HELD_AT_LIMIT) -> np.ndarray:
-    """Return minus the forces, (d, n, samples), with those at or beyond their limit set to exactly that size.
+def _cut(dual: np.ndarray, limit: np.ndarray | None, tolerance: float = HELD_AT_LIMIT) -> np.ndarray:
+    """Return minus the forces, (d, n, samples), after all that are above (1 - tolerance) times their limit are set to
+    the limit; their directions stay.
 
     dual : (d, n, samples), minus the forces on n contacts with up to d slip components.
-    limit : (n, samples), friction of contacts that may rest at their limit, infinite for others; None if no contact
-        does, then nothing changes.
-    missed : the largest share of its limit by which a force that counts as at its limit may be below it.
+    limit : (n, samples), friction of the contacts that may rest at their limit, infinite for others; None if no contact
+        may, then nothing changes.
+    tolerance : a number far below 1.
     """
     if limit is None:
         return dual
     size = np.maximum(np.sqrt((dual**2).sum(axis=0)), TINY)
-    return np.where(_at_limit(dual, limit, missed), dual * (limit / size), dual)
+    return np.where(_at_limit(dual, limit, tolerance), dual * (limit / size), dual)
 
 
 def _reach(friction: np.ndarray, here: np.ndarray, there: np.ndarray, free: np.ndarray, samples: int) -> np.ndarray:
@@ -371,8 +363,6 @@ def _reach(friction: np.ndarray, here: np.ndarray, there: np.ndarray, free: np.n
     here, there : (d, samples * n), minus the forces at both ends of the way.
     free : (samples * n,) mask of contacts whose limit does not matter.
     samples : number of samples.
-
-    Letters: n contacts with up to d slip components.
     """
     found = np.where(free, np.inf, _factors(friction, here, there))
     result: np.ndarray = found.reshape(samples, -1).min(axis=1, initial=np.inf)
