@@ -163,20 +163,20 @@ class Contraction:
         `whole`, and the system of these contacts, whose unknowns are the sets of spins that tied contacts join.
 
         whole : the system before any contact was tied.
-        places : (contacts,), indices in it of the contacts that are not tied. Those between two spins of one set are
-            left out unless imposed spins make them slip.
+        places : (contacts,), indices in it of the contacts that are not tied.
         """
         assert whole.ends is not None
-        # The two sets that each contact joins, -1 for an imposed spin. Spins of sets that are tied to a driven plane
-        # are imposed now; their difference is added to the offset.
+        # The two sets that each contact joins, -1 for an imposed spin; `same` where it joins spins of one set.
         ends = whole.ends.take(places, 2)  # unlike an index, keeps the order in memory: numbers of a row side by side
         (below, above), imposed = np.append(self.number, -1)[ends], [np.append(of, 0.0)[ends] for of in self.imposed]
         offset, rest = _offset(whole)
         offset, rest, same = offset.take(places, 1), rest.take(places, 1), below == above
+        # Spins of sets that are tied to a driven plane are imposed now; their differences are added to the offset.
         of_driven = np.nonzero((imposed[0] != 0).any(axis=0))
         (low, low_rest), (high, high_rest) = ([of[end][of_driven] for of in imposed] for end in range(2))
         jump = subtract((high, high_rest), (low, low_rest))
         offset[of_driven], rest[of_driven] = add((offset[of_driven], rest[of_driven]), jump)
+        # Contacts can slip if they join two sets in some component, or if imposed spins make them slip.
         left = np.flatnonzero((~same | (offset != 0)).any(axis=0))
         ends = np.where(same, -1, np.stack([below, above])).take(left, 2)
         kept = places[left]

@@ -44,9 +44,7 @@ def polished(
     chosen: np.ndarray,
     factorised: np.ndarray,
 ) -> tuple[Pair, np.ndarray, np.ndarray, np.ndarray]:
-    """Return spins, slips and forces near the given spins at which all torques balance in twice the precision. Four
-    things: spins (unknowns,) of the whole system as sums of two doubles; slips (d, n); minus the friction forces (d,
-    n); and a mask (samples,) of the chosen samples in which that succeeds and no slip has become 0.
+    """Return spins, slips and forces near the given spins at which all torques balance in twice the precision.
 
     tied : the n contacts that slip, with up to d slip components, over the sets of spins that the other contacts tie
         together.
@@ -55,6 +53,8 @@ def polished(
     spins : (sets of tied spins,), where to begin, sums of two doubles.
     chosen : (samples,) mask of the samples to try.
     factorised : (samples,) mask of the samples whose matrix is factorised at spins close to the given ones.
+    returns : spins (unknowns,) of the whole system as sums of two doubles; slips (d, n); minus the friction forces (d,
+        n); and a mask (samples,) of the chosen samples in which that succeeds and no slip has become 0.
     """
     system = _PreciseSystem(tied)
     # low parts of the given spins may be larger than the rounding of the high ones; two_sum makes them smaller
@@ -70,9 +70,7 @@ def _balanced(
     going: np.ndarray,
     factorised: np.ndarray,
 ) -> tuple[Pair, np.ndarray, np.ndarray, np.ndarray]:
-    """Reduce the torques by Newton's method as far as that goes. Return the unknowns that were reached, as sums of two
-    doubles; slips and forces of friction (d, n) there, in doubles; and a mask (samples,) of the samples in which the
-    method works and no slip is 0.
+    """Reduce the torques by Newton's method as far as that goes, and return the best point.
 
     system : computes slips and torques in twice the precision.
     matrix : Newton matrix of the contacts that are left.
@@ -80,34 +78,38 @@ def _balanced(
     unknown : (unknowns,), spins to begin with, as sums of two doubles.
     going : (samples,) mask of the samples to try.
     factorised : (samples,) mask of the samples whose matrix is factorised at unknowns close to `unknown`.
+    returns : the unknowns there, as sums of two doubles; slips and forces of friction (d, n), in doubles; and a mask
+        (samples,) of the samples in which the method works and no slip is 0.
     """
     owners, strongest = system.owners, system.owners.largest(strengths[0])
-    best, fine, least = unknown, np.zeros_like(going), np.full(len(going), np.inf)
+    best, works, least = unknown, np.zeros_like(going), np.full(len(going), np.inf)
     slips, friction = np.zeros((2, *system.contracted.offset.shape))  # those at `best`
     for _ in range(MOST_POLISHING_STEPS):
+        # Slips, forces and the largest torque of each sample at this point, which is kept if it is the best so far.
         precise = system.differences(unknown)
         slip = length(precise[0])
         held = _friction_along(strengths[0], precise)
         torques = system.torques(held if strengths[1] is None else add(held, scaled(strengths[1], precise)))
         size, smallest = owners.largest_of_spins(np.abs(torques)), owners.smallest(slip)
         going = going & (size < least) & (smallest > 0)
-        # Keep the best point; go on while torques are more than halved and are not yet negligible.
-        best, fine = _where(going[owners.spins], unknown, best), fine | going
+        best, works = _where(going[owners.spins], unknown, best), works | going
         slips, friction = _where(going[owners.contacts], (precise[0], held[0]), (slips, friction))
+        # Samples go on while torques are more than halved and are not yet negligible.
         enough = np.maximum(POLISHED_TORQUE, np.minimum(SMALL_TORQUE, SMALL_SHARE_OF_SLIP * smallest)) * strongest
         going = going & (size <= least / 2) & (size > enough)
         if not going.any():
             break
-        least, anew, before = np.where(going, size, least), going & ~factorised, going
+        # A Newton step. It fails if the matrix is singular, or if a slip would change too much.
+        least, anew, stepping = np.where(going, size, least), going & ~factorised, going
         if anew.any():
             stiffness = friction_stiffness(*strengths, precise[0], FREE_STIFFNESS)
             going = going & (matrix.factorise_each(stiffness, anew) | ~anew)
         step = matrix.solve(-torques, going)
         change = owners.largest(length(system.contracted.change(step)) / slip)
         going = going & (change <= MOST_SLIP_CHANGE)
-        fine, factorised = fine & (going | ~before), change < MATRIX_CHANGE
+        works, factorised = works & (going | ~stepping), change < MATRIX_CHANGE
         unknown = _where(going[owners.spins], add(unknown, exactly(step)), unknown)
-    return best, slips, friction, fine
+    return best, slips, friction, works
 
 
 class _PreciseSystem:
@@ -116,8 +118,8 @@ class _PreciseSystem:
 
     contracted : the contacts that are left; its unknowns are sets of tied spins.
     owners : the sample of each unknown and of each contact.
-    imposed : places in (d, n) where imposed spins contribute to the slips, as two arrays of indices, and how much, as
-        sums of two doubles.
+    imposed : pair that says where, in (d, n), imposed spins contribute to the slips, as two arrays of indices; and how
+        much, as sums of two doubles.
     """
 
     def __init__(self, tied: Contraction) -> None:
@@ -131,17 +133,17 @@ class _PreciseSystem:
         self.imposed = places, (exactly(high) if rest is None else (high, rest[places]))
 
     def differences(self, unknown: Pair) -> Pair:
-        """Return the slips (d, n) as sums of two doubles, from the unknowns (unknowns,). Letters: n contacts with up to
-        d slip components.
+        """Return the slips (d, n) as sums of two doubles.
 
         unknown : (unknowns,), values of the unknowns, sums of two doubles.
         """
         assert self.contracted.ends is not None
-        (below, above), (places, more) = self.contracted.ends, self.imposed
+        # Differences of the unknowns at both ends, with 0 for an imposed spin (-1); then add what those contribute.
+        (below, above), (places, contribution) = self.contracted.ends, self.imposed
         high, low = (np.append(part, 0.0) for part in unknown)
         upper, lower = ((high.take(end), low.take(end)) for end in (above, below))
         found = subtract(upper, lower)
-        driven = add((found[0][places], found[1][places]), more)
+        driven = add((found[0][places], found[1][places]), contribution)
         for whole, part in zip(found, driven, strict=True):
             whole[places] = part
         return found

@@ -319,11 +319,11 @@ def _seem_to_stick(iterate: Iterate, before: Iterate) -> np.ndarray:
 
 
 def _clearly_stick(iterate: Iterate, before: Iterate) -> np.ndarray:
-    """Return a mask (n,) of contacts that stick, as far as a point before the last decades of the path can tell: with a
-    wide margin that stays, and a small slip that falls as fast as the product of both does (TIED_MARGIN, TIED_SHARE).
+    """Return a mask (n,) of contacts that clearly stick: the margin is wide (TIED_MARGIN) and stayed in the last step;
+    the slip is far below the margin (TIED_SHARE), and fell about as fast as the product of the path, or faster.
 
-    A contact that slips, but by less than a hundredth of the product, seems to stick, too: its margin begins to fall
-    only later.
+    This can be wrong before the last decades of the path: a contact that slips by less than a hundredth of the product
+    seems to stick, as its margin begins to fall only later.
 
     iterate : the point of the path.
     before : the point one step before.
@@ -456,10 +456,9 @@ def _minimum_with_tied(
     shared : what all samples share.
     to_the_end : True to follow the path until double precision ends, False until every contact is decided.
     returns : the minimum, None if there is none; (n,) mask of the further contacts that surely stick at the end.
-
-    Forces of slipless contacts are sought near those at the end of the path. If that fails and there may be several
-    minima, they are sought near those of `path`, as tying contacts can change them a lot then.
     """
+    # Forces of slipless contacts are sought near those at the end of the path; where there may be several minima, then
+    # near those before contacts were tied, which can change forces a lot.
     found, later, more_sticking = _smooth_minimum_with_tied(iterate, path, sticking, shared, to_the_end)
     (settled,) = _with_slipless_forces([iterate], [found], [later], shared)
     if found is not None and settled is None and may_have_several_minima(iterate.friction, found.at_limit):
@@ -554,9 +553,8 @@ def _smooth_minima(
     shared: Surroundings,
     order: np.ndarray | None = None,
 ) -> list[Resolved | None]:
-    """Return for each sample the spins, slips and friction at which its power is least if only some contacts may slip
-    and the spins across all others are made equal; None where Newton's method does not find them. Contacts that come to
-    rest on the way may then not slip either, and Newton's method is run again (NEWTON_TRIALS).
+    """Return for each sample the minimum of its power (spins, slips, friction) while only some contacts may slip and
+    all others are tied; None where Newton's method does not find it.
 
     iterates : for each sample a point of the central path, of which the friction limits and viscosities are used.
     spins : for each sample (unknowns,) the spins to begin with, as sums of two doubles.
@@ -566,6 +564,7 @@ def _smooth_minima(
         the lattice.
     """
     found: list[Resolved | None] = [None] * len(iterates)
+    # The samples that are tried: their numbers, the contacts that may slip, and the spins to begin with.
     slipping = [mask for mask in masks if mask is not None]
     numbers = [number for number, mask in enumerate(masks) if mask is not None]
     spins = [spins[number] for number in numbers]
@@ -577,7 +576,7 @@ def _smooth_minima(
         again = np.flatnonzero(trial.tied.owners.any(at_rest)).tolist()
         if not again:
             break
-        # Samples in which contacts came to rest are tried again from where they are, with these contacts tied.
+        # Samples in which contacts came to rest on the way are tried again from where they are, with these tied, too.
         whole, resting = trial.tied.expanded(trial.spins), trial.everywhere(at_rest)
         high, low = (part.reshape(len(numbers), -1) for part in whole)
         spins = [(high[sample], low[sample]) for sample in again]
@@ -635,8 +634,7 @@ class _SmoothPower:
         self.difference: np.ndarray
 
     def descend(self, spins: Pair) -> np.ndarray:
-        """Run Newton's method until all torques balance, and set `spins`, `difference` and `balanced`. No slip may be
-        reversed.
+        """Run Newton's method until all torques balance, and set `spins`, `difference` and `balanced`.
 
         spins : where to begin, (samples * unknowns,) single spins, as sums of two doubles; tied ones get their mean.
         returns : (kept,) mask of contacts that come to rest and have to be tied, too: they did not slip at the
@@ -647,25 +645,26 @@ class _SmoothPower:
         self.difference = self.tied.differences(self.spins)
         of_contacts, of_spins = owners.contacts, owners.spins
         first = length(self.difference)
-        at_rest = (first == 0) & ~self.tied.contradicts[of_contacts]
+        at_rest: np.ndarray = (first == 0) & ~self.tied.contradicts[of_contacts]
         going = ~self.tied.contradicts & ~owners.any(at_rest)
         for count in range(MOST_NEWTON_STEPS):
+            # Samples whose largest torque is small are balanced; in the last round that may be larger, by rounding.
             torques = system.torques(whole_dual(self.dual, self.viscosity, self.difference))
             left = owners.largest_of_spins(np.abs(torques))
             self.balanced |= going & (left < (NEWTON_TORQUE if count < MOST_NEWTON_STEPS - 1 else ROUNDED_TORQUE))
             going = going & ~self.balanced
             if not going.any():
-                found: np.ndarray = at_rest
-                return found
+                break
             # A Newton step for the samples that go on.
             stiffness = friction_stiffness(self.friction, self.viscosity, self.difference, LEAST_WORK)
             going = self.matrix.factorise_each(stiffness, going)
             step = self.matrix.solve(torques, going)
             change, slip = system.change(step), length(self.difference)
-            # Slips that the whole step would reverse: small ones come to rest, others make the step shorter.
+            # No slip may be reversed: where the whole step would do so, contacts with small slips come to rest.
             turned = inner(self.difference + change, self.difference) <= 0
             resting = turned & (slip < RESTING_SHARE * first) & going[of_contacts]
             at_rest, going = at_rest | resting, going & ~owners.any(resting)
+            # A sample goes such a share `along` of the step that no slip changes by too much of its size.
             most = np.where(turned, MOST_CHANGE_IF_REVERSED, MOST_CHANGE_ALONG)
             reach = owners.largest(length(change) / (most * slip))
             self.is_factorised = np.where(going, reach < KEPT_MATRIX_CHANGE, self.is_factorised)
@@ -673,8 +672,7 @@ class _SmoothPower:
             self.spins = high, np.where(going[of_spins], low + along[of_spins] * step, low)
             there = self.difference + along[of_contacts] * change
             self.difference = np.where(going[of_contacts], there, self.difference)
-        found = at_rest
-        return found
+        return at_rest
 
     @property
     def dual(self) -> np.ndarray:
