@@ -73,20 +73,20 @@ class _Contacts:
 
 @dataclass(frozen=True)
 class _Numbers:
-    """The constants of a pass, such as the length of a step, passed to a law in place of an array. In the array of a
-    kernel a law finds constant k of contact m at index k * BLOCK + m.
+    """The constants of a pass, such as the length of a step, passed to a law in place of the kernel's array of them. A
+    law reads numbers[k * BLOCK + m] for constant k at contact m; here m is a range of contacts, of class _Contacts.
 
     values : the constants, each the same for all contacts.
-    first : the first contact of the range that the law is called for.
+    first : the first contact of the range.
     """
 
     values: list[float]
     first: int
 
     def __getitem__(self, place: "slice | _Contacts") -> float:
-        """Return the constant k at the index k * BLOCK + m, where m is a range of contacts.
+        """Return constant k.
 
-        place : that sum; it is a :class:`_Contacts` if nothing was added, k = 0, and a slice otherwise.
+        place : k * BLOCK + m, which is the slice that begins at k * BLOCK + first; or m alone, for k = 0.
         """
         return self.values[0 if isinstance(place, _Contacts) else (place.start - self.first) // kernels.BLOCK]
 
@@ -107,10 +107,10 @@ def _laws() -> dict[str, Any]:
 def run(
     kernel: kernels.Passes, flat: np.ndarray, length: int, second: int, slots: tuple[int, int], numbers: list[float]
 ) -> np.ndarray:
-    """Make one pass over all contacts of a sample: write what its law returns into rows. Return its results (FOUND,
-    BLOCK): minima, then sums, over every BLOCK-th contact, as kernels make them.
+    """Make one pass over all contacts of a sample, and write the rows that its law computes. Return its results (FOUND,
+    BLOCK): minima, then sums. Column k is over contacts k, k + BLOCK, ..., as kernels make them.
 
-    kernel : the pass.
+    kernel : the pass: the name of its law, the rows into which its numbers go, and the results.
     flat : all rows, one after the other; changed in place. A row has one number of every contact.
     length : length of a row, n.
     second : first contact with two slip components; those before it have one.
@@ -121,12 +121,13 @@ def run(
     law: Callable[..., list[np.ndarray]] = _laws()[kernel.law]
     found = np.zeros((kernels.FOUND, kernels.BLOCK))
     found[: kernels.LEAST_FOUND] = np.inf
+    # where rows begin: those of the point of the path, and those of the Newton steps that are read and written
     state = [row * length for row in range(kernels.STATE_ROWS)]
     old, new = (
         [(kernels.STATE_ROWS + slot * kernels.STEP_ROWS + row) * length for row in range(kernels.STEP_ROWS)]
         for slot in slots
     )
-    for kind, (first, end) in enumerate(((0, second), (second, length))):
+    for kind, (first, end) in enumerate(((0, second), (second, length))):  # contacts with one component, then two
         if first == end:
             continue
         with np.errstate(all="ignore"):  # as kernels do

@@ -223,8 +223,8 @@ class Path:
         """Reserve places for samples of the system of contacts of a Newton matrix; all places are empty.
 
         samples : number of places, 1 or LANES, the number of lanes of a SIMD vector.
-        rough : True to let steps leave torques up to ROUGH_STEP_TORQUE, which saves one solve in eight; in samples
-            with friction alone that is not decades apart.
+        rough : True to refine steps less (up to ROUGH_STEP_TORQUE), which saves one solve in eight. This applies to
+            samples without inertia and viscosity whose frictions are not decades apart.
         """
         self.samples, self._matrix, self._rows = samples, matrix, matrix.rows(samples)
         self._rough, self._enough = rough, np.full(samples, STEP_TORQUE)  # (S,), torques that need no refinement
@@ -275,6 +275,7 @@ class Path:
         is_rough = self._rough and not self._together and are_even(iterate.friction)
         self._enough[sample] = ROUGH_STEP_TORQUE if is_rough else STEP_TORQUE
         if iterate.viscosity is not None:
+            # Viscosities as stiffnesses, and in the places that contacts have in memory, by way of the row of forces.
             stiffness = stacked(isotropic(iterate.difference, iterate.viscosity))
             if self._viscosity is None or self._viscous is None:
                 self._viscosity = np.zeros_like(rows.two_components(kernels.FORCE))
@@ -383,15 +384,14 @@ class Path:
         return found
 
     def _recentred(self, step: _Step, target: np.ndarray, going: np.ndarray, rejected: np.ndarray) -> _Step:
-        """Return the step after one of Gondzio's correctors. First the product friction * bound - slip . force of each
-        contact after a somewhat longer step is computed. Where it differs from the target by more than a factor
-        PRODUCT_SPREAD, the corrector brings it closer.
+        """Return the step after one of Gondzio's correctors, made in the other place in memory. Contacts whose product
+        friction * bound - slip . force, after a somewhat longer step, differs from the target by more than a factor
+        PRODUCT_SPREAD, are brought closer to it.
 
         step : the present step of S samples.
         target : (S,), product to aim at.
-        going : (S,) mask of the samples that are corrected.
-        rejected : (S,) mask of the samples, not in `going`, that keep the step before the present one, which is in the
-            other place in memory. The others keep the present step.
+        going : (S,) mask of the samples that are corrected. All others keep their best step:
+        rejected : (S,) mask of those whose best step stands in the other place, as their last corrector was rejected.
         """
         lengths = np.minimum(1.0, 1.5 * step.lengths + 0.1)
         other = np.where(rejected, kernels.AS_WRITTEN, kernels.AS_READ)
@@ -402,8 +402,8 @@ class Path:
 
     def _refined(self, step: _Step) -> _Step:
         """Return the step of all samples after iterative refinement: the linear system is solved again for the torques
-        that rounding leaves, at most STEP_REFINEMENTS times, as long as these were halved and are above STEP_TORQUE, in
-        rough steps ROUGH_STEP_TORQUE, in units of the mean friction.
+        that rounding leaves. A sample is refined, at most STEP_REFINEMENTS times, as long as its largest torque is
+        above the number `_enough` and each solve has at least halved it.
 
         step : the step before.
         """
@@ -455,9 +455,9 @@ class Path:
                     rows.spins[rows.place, sample] -= iterate.to_balance(spins[rows.place, sample])
 
     def _expanded(self, slot: int) -> _Step:
-        """Return the whole Newton step of all samples from its changes of the spins, which `self._rows.spins` holds.
-        The changes of slips, bounds and forces follow from these, and so do the lengths at which primal and dual points
-        leave their cones. With inertia or viscosity the smaller length counts for both.
+        """Return the whole Newton step of all samples, computed from the changes of the spins in `self._rows.spins`:
+        changes of slips, bounds and forces, and the largest factors at which primal and dual points are in their cones.
+        With inertia or viscosity both have the smaller of the two factors.
 
         slot : 0 or 1, the place in memory into which the changes of slips, bounds and forces are written.
         """

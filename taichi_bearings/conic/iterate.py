@@ -96,20 +96,21 @@ class Iterate:
         path, but torques do not balance. From there the path takes one Newton step in ten less than from a point
         without forces.
 
-        Forces are along the slips, and at most START_LARGEST_FORCE times the median friction, as larger ones would
-        leave torques that take many steps to balance. So would forces along slips that are far from those of a minimum.
-        So the point has no forces, as in :meth:`start`, if slips are large (START_MOST_SLIP), as at random spins, or if
-        frictions are decades apart.
+        Forces that leave large torques would cost many steps. So they are at most START_LARGEST_FORCE times the median
+        friction; and they are 0, as in :meth:`start`, if slips are far from those of a minimum (START_MOST_SLIP), as at
+        random spins, or if frictions are decades apart.
 
         system : the n contacts.
         spins : (unknowns,), spins of the point.
         friction : (n,), largest friction force of each contact.
-        slack : slip of a usual contact, by which the bound of a contact without slip is above 0.
+        slack : typical slip of a contact; the bounds of contacts without slip are of this size.
         """
         difference, middle = system.differences(spins), len(friction) // 2
         slip, median = length(difference), float(np.partition(friction, middle)[middle])
         if not (are_even(friction) and np.mean(slip * slip) <= (START_MOST_SLIP * slack) ** 2):
             return cls.start(system, spins, friction, slack)
+        # The force largest * slip / bound makes the product about largest * (bound - slip^2 / bound), which is to be
+        # START_PRODUCT * median * slack: a quadratic equation for the bound.
         largest = np.minimum(friction, START_LARGEST_FORCE * median)
         shift = START_PRODUCT * median * slack / np.maximum(largest, START_LEAST_FRICTION * median)
         bound = (shift + np.sqrt(shift * shift + 4 * slip * slip)) / 2

@@ -51,16 +51,15 @@ class NewtonMatrix:
         """Analyse the pattern of a system.
 
         system : the contacts.
-        order : order in which its unknowns are eliminated; or a function that returns the order for a part by its
-            number, counted from the first unknown of the part.
+        order : (unknowns,), order in which unknowns are eliminated; or, with `parts`, a function that returns the order
+            within the part of a given number, where unknowns are counted from the first one of the part.
         memory : memory of another matrix that is not needed as long as this one is; None for its own.
-        engine : Engine.LAUNCH for several samples on the last axis of arrays; if None, the quickest for one.
+        engine : way to factorise: Engine.LAUNCH for several samples on the last axis of arrays; None for the quickest
+            way for one sample.
         parts : for each sample the range of its unknowns, if samples are parts of the system; None for one pattern.
         shared_passes : True to let threads share the passes over the contacts of a single sample, as those of another
             matrix whose kernels are loaded; None to do so if there are many contacts.
         """
-        # `_choleskys` : for each part its factorisation; `_entries` : for each part which entries change, and where
-        # they stand among those of all parts; `_map` : sparse matrix that turns `stacked` stiffnesses into entries
         self.memory, self._system, self._parts = memory or Memory(), system, parts or [slice(0, system.unknowns)]
         self.raised, many = 0, are_shared(system.offset.shape[1])
         self.shared_passes = many if shared_passes is None else shared_passes
@@ -68,12 +67,13 @@ class NewtonMatrix:
         # Each term of the matrix belongs to the sample of its first unknown.
         first, second, source, sign = system.terms()
         part_of = np.searchsorted([part.start for part in self._parts], first, side="right") - 1
-        places, self._choleskys, end = np.empty_like(first), list[Cholesky](), 0
+        places, end = np.empty_like(first), 0  # place of each term among the entries of all parts; end of the last part
+        self._choleskys = list[Cholesky]()  # for each part
         self._entries = list[tuple[slice | np.ndarray, slice]]()  # for each part: entries that change, and their places
         for number, part in enumerate(self._parts):
             own = np.flatnonzero(part_of == number) if parts else slice(None)
             pairs = first[own] - part.start, second[own] - part.start
-            # The pattern of one sample, and where each of its terms goes among the entries.
+            # The pattern of one sample, and the entry to which each of its terms is added.
             of_part = partial(order, number) if callable(order) else partial(np.asarray, order)
             cholesky = Cholesky(part.stop - part.start, of_part, pairs, own_memory, engine)
             entry, pattern = cholesky.entry(*pairs), cholesky.pattern
@@ -89,9 +89,10 @@ class NewtonMatrix:
             self._choleskys.append(cholesky)
             self._entries.append((written, slice(end, end + count)))
             end += count
+        # The sparse matrix that turns `stacked` stiffnesses into the entries of all parts.
         columns, signs = (len(system.offset) + 1) * system.offset.size // 2, sign.astype(np.int8)
         sign = signs if self.is_costly and (signs == sign).all() else sign  # a byte each instead of eight
-        self._map = sparse.csr_matrix((sign, (places, source)), shape=(end, columns))  # from `stacked` stiffnesses
+        self._map = sparse.csr_matrix((sign, (places, source)), shape=(end, columns))
         self._kept = dict[int, ContactRows]()  # by number of samples, the memory of their Newton steps
 
     @property
@@ -131,8 +132,6 @@ class NewtonMatrix:
 
         stiffness : (d, d, n), or (d, d, n, S) of S samples.
         inertia : number added to the diagonal, as by a spring at every spin: one number, (unknowns,) or (unknowns, S).
-
-        Letters: n contacts with up to d slip components, S samples.
         """
         if not self.factorise_each(stiffness, None, inertia).all():
             raise NotPositiveDefinite
@@ -141,8 +140,8 @@ class NewtonMatrix:
         """Factorise the matrices of S samples in which a spring at each contact resists every slip component alike.
         Return a mask (S,) of the samples in which that succeeds, if need be with a raised diagonal.
 
-        springs : (n, S), stiffness of the spring at each contact, for all its slip components, also where each of them
-            is a contact of the system (`ContactSystem.by_rows`).
+        springs : (n, S), stiffness of the spring at each contact. If the system has each slip component as a contact of
+            its own (`ContactSystem.by_rows`), n counts the contacts before that.
         inertia : number added to the diagonal, as by a spring at every spin: one number, or (unknowns, S).
         """
         rows = self._system.offset
@@ -160,8 +159,6 @@ class NewtonMatrix:
         stiffness : (d, d, n), a symmetric positive matrix for each contact; or (d, d, n, S) of S samples.
         wanted : (S,) mask, None for all.
         inertia : number added to the diagonal, as by a spring at every spin: one number, (unknowns,) or (unknowns, S).
-
-        Letters: n contacts with up to d slip components, S samples.
         """
         values = _side_by_side(self._map @ stacked(stiffness))
         samples = values.shape[1]
@@ -267,8 +264,8 @@ class NewtonMatrix:
     def balanced(
         self, dual: np.ndarray, springs: np.ndarray, load: np.ndarray | float = 0.0, solves: int = REFINEMENTS
     ) -> np.ndarray:
-        """Return forces (d, n) with the torques `load`, up to rounding: `dual` plus the forces of fictitious springs at
-        the contacts, whose stretching at some change of the spins balances the rest.
+        """Return forces (d, n) with the torques `load`, up to rounding: `dual` plus the forces that fictitious springs
+        at the contacts have after the spins have changed until torques balance.
 
         dual : (d, n), forces to begin with.
         springs : (n,), stiffness of the spring at each contact, which resists every slip component alike.
@@ -276,8 +273,6 @@ class NewtonMatrix:
         solves : number of solves; those after the first correct the rounding.
 
         Raises NotPositiveDefinite if there are too few springs, so that their matrix is singular.
-
-        Letters: n contacts with up to d slip components.
         """
         if not self.factorise_springs(springs[:, None]).all():
             raise NotPositiveDefinite

@@ -192,10 +192,11 @@ class ContactRows:
         sums : the matrix; or, if its entries are all 1 or -1, two tables that say which numbers to add and to subtract.
         values : array of numbers of contacts or of spins, any shape; read as if it were flat.
         found : array that the result is written into, any shape; indexed as if it were flat.
-        first : index in `values` of the first number that is multiplied.
-        to : index in `found` of the first number of the result.
+        first : where in `values` the numbers begin that are multiplied, counted in numbers of each sample.
+        to : where in `found` the result begins, counted likewise.
         """
         key, shape = (id(sums), first, to), (-1,) if self.samples == 1 else (-1, self.samples)
+        # A matrix is multiplied by SciPy. So are two tables, as a matrix, if NumPy makes the passes.
         if not isinstance(sums, sparse.csr_array) and by_numpy.is_quicker(self._contacts, self.samples):
             if id(sums) not in self._matrices:
                 self._matrices[id(sums)] = by_numpy.matrix_of(*sums)
@@ -204,6 +205,7 @@ class ContactRows:
             rows, columns = sums.shape
             found.reshape(shape)[to : to + rows] = sums @ values.reshape(shape)[first : first + columns]
             return
+        # Otherwise a kernel adds up the numbers.
         if key not in self._starts:
             alone = kernels.add_up_shared if self.shared else kernels.add_up_alone
             kernel = alone if self.samples == 1 else kernels.add_up
@@ -225,11 +227,10 @@ class ContactRows:
             end[row, self._second :] = begin[row, self._second :]
 
     def mix(self, slot: int, to: int, share: float) -> None:
-        """Replace the Newton step of all samples in one of the two places in memory by one between both: step + share *
-        (other - step).
+        """Mix the Newton steps in the two places in memory, for all samples: step + share * (other - step).
 
         slot : 0 or 1, the place of `step`, which stays.
-        to : the place of `other`, which is overwritten.
+        to : the other place, of `other`, which the mixture overwrites.
         share : from 0 to 1.
         """
         step, other = (
