@@ -275,8 +275,6 @@ class FrictionStage:
         base : (unknowns,), spins from which inertia acts, 1/time.
         step : (unknowns,), the whole Newton step of the spins, 1/time.
         first : slope along the step at length 0, below 0.
-
-        Letters: n contacts with up to d slip components.
         """
         gained = spins - base
 
@@ -312,9 +310,9 @@ class FrictionStage:
         force: np.ndarray,
         scale: float,
     ) -> StageEnd:
-        """Return the spins and forces at the end of the stage, after linear corrections of the forces have removed the
-        last torques. Some are left before, as the forces of stiff contacts depend on more digits of the spins than
-        doubles have.
+        """Return the spins and forces at the end of the stage. Newton's method leaves small torques, as the forces of
+        stiff contacts depend on more digits of the spins than doubles have. Here linear corrections are added to spins
+        and forces, without computing forces from spins, until torques are gone.
 
         friction : laws of the n contacts.
         base : (unknowns,), spins from which inertia acts, 1/time.
@@ -322,8 +320,6 @@ class FrictionStage:
         trial : (d, n), forces of the springs before friction limits them.
         force : (d, n), the contact forces after that, with their viscous part.
         scale : torque by which the rest is judged.
-
-        Letters: n contacts with up to d slip components.
         """
         for _ in range(REFINEMENTS):
             torque = self._torque(force, friction.inertia, spins - base)

@@ -142,11 +142,12 @@ class _Multipliers:
         return self.change < SETTLED_FORCE and self.undecided is not None and not self.undecided.any()
 
     def minimise(self, stiffness: np.ndarray, inertia: float = 0.0) -> bool:
-        """Go on to the minimum with springs that begin with the forces `held`, and return True; return False, with
+        """Find the minimum with springs that begin with the forces `held`, and go on to it. Return True; or False, with
         nothing changed, if Newton's method does not find it.
 
         stiffness : (n,), stiffness of each spring.
-        inertia : weight of the inertia that draws spins to the present ones, in units of friction over spin.
+        inertia : weight of an inertia whose torques, weight * change, draw the spins back to the present ones; in units
+            of friction over spin.
         """
         # The unknown is the change of the spins, so that it has all digits; slips before it in twice the precision.
         contacts, point, rest = self.point.system, self.point, np.zeros(len(self.spins[0]))
@@ -157,6 +158,7 @@ class _Multipliers:
             end = stage.solve(friction, rest, self.held, rest)
         if end is None:
             return False
+        # Go to the minimum; decide which contacts slip there, and of which resting ones the force still changes.
         change, slip = length(end.held - self.held), length(here.differences(end.spins))
         self.change = max(change.max(initial=0.0), inertia * np.abs(end.spins).max(initial=0.0))
         self.spins, self.held, self.whole_dual = add(self.spins, exactly(end.spins)), end.held, -end.force

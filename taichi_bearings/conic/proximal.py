@@ -147,32 +147,34 @@ class OfLattice(Unknowns):
 
 
 class OfNetwork(Unknowns):
-    """Free spins of any network, each multiplied by the root of its inertia over the mean one, so that the unknowns
-    have one inertia. Spin components that make no contact slip are left out.
+    """Free spins of any network, u = radius * spin. Each is multiplied by a `root`, with which all unknowns have the
+    same inertia. Spin components that make no contact slip are left out.
 
     sphere : (unknowns,), number of the sphere of each unknown.
     component : (unknowns,), number of the spin component of each unknown.
-    root : (unknowns,), root of the sphere's inertia over the mean inertia.
+    root : (unknowns,), square root of the sphere's inertia over the mean inertia.
     system : the contacts as a function of the unknowns.
     order : (unknowns,), numbers of the unknowns in their order of elimination.
     rows : number of components of the force on a contact: one for each tangent direction.
     """
 
     def __init__(self, bearing: Bearing, unit: float, inertia: np.ndarray) -> None:
-        """Number the free spins of a bearing, in which all contacts have to take part, and make its contact system over
-        them.
+        """Number the free spins of a bearing, and make the contact system over them. Contacts without coefficient in
+        any sample are left out.
 
-        bearing : spheres and contacts, some of them driven.
-        unit : speed that is counted as one, of u = radius * spin, length/time.
+        bearing : spheres and contacts, some spheres driven.
+        unit : unit of u = radius * spin, length/time.
         inertia : (N,), moment of inertia over radius squared of each of N spheres, mass.
         """
         network, contact = bearing.network, bearing.acting
+        # Unknown are the spins of free spheres that make some contact slip, (N, C); they are numbered in this order.
         each = np.arange(network.spheres * network.components).reshape(network.spheres, -1)
         size = np.asarray(abs(network.operator(contact, each)).sum(axis=0)).reshape(each.shape)
         wanted = network.free[:, None] & (size > 0)
         moved = np.where(wanted, np.cumsum(wanted).reshape(wanted.shape) - 1, -1)
         self.sphere, self.component = np.nonzero(wanted)
         self.root = np.sqrt(inertia / inertia.mean())[self.sphere]
+        # The slips while all unknowns are 0.
         known = bearing.driven_speed[network.contact[:, contact]].sum(axis=0) / unit
         offset = np.einsum("tek,ek->te", network.tangents[:, contact], known)
         self.system = ContactSystem(
@@ -187,8 +189,7 @@ class OfNetwork(Unknowns):
         self.order, self.rows = order_by_place(self.system), len(offset)
 
     def read(self, staggered: np.ndarray) -> np.ndarray:
-        """Return the unknowns (R, unknowns) of R samples: u = radius * spin of each free sphere and component, times
-        the root of its inertia over the mean one.
+        """Return the unknowns (R, unknowns) of R samples: u = radius * spin of free spheres, times `root`.
 
         staggered : (C, R, N), u of all N spheres, with C spin components; no signs are flipped in a packing.
         """
@@ -199,18 +200,18 @@ class OfNetwork(Unknowns):
 
         staggered : (C, R, N), the array: u = radius * spin, with C spin components, R samples and N spheres.
         replica : number of the sample.
-        spins : (unknowns,), values of u times the root of inertia over mean inertia; they are divided by that root.
+        spins : (unknowns,), values of the unknowns, u times `root`.
         """
         staggered[self.component, replica, self.sphere] = spins / self.root
 
 
 class ProximalSteps:
-    """Makes implicit Euler steps in time of the samples of a bearing, each solved as a minimum.
+    """Makes implicit Euler steps in time of the samples of a bearing, each solved as a minimum. *Carried spins* are the
+    staggered spins of a lattice, 1/time, or u = radius * spin of a packing, length/time.
 
     scene : the bearing.
     unknowns : its spins as one vector.
-    unit : difference of spins that is counted as one, 1/time; of u = radius * spin, length/time, if the unknowns are
-        :class:`OfNetwork`.
+    unit : unit of the carried spins.
     """
 
     def __init__(self, scene: Bearing, unknowns: Unknowns, unit: float, inertia: float) -> None:
@@ -218,9 +219,8 @@ class ProximalSteps:
 
         scene : the bearing.
         unknowns : its spins as one vector.
-        unit : difference of spins that is counted as one, 1/time; of u = radius * spin, length/time, if the unknowns
-            are :class:`OfNetwork`.
-        inertia : mean moment of inertia of the spheres; over radius squared if the unknowns are :class:`OfNetwork`.
+        unit : unit of the carried spins (see the class).
+        inertia : mean moment of inertia of the spheres; for a packing over radius squared.
         """
         self.scene, self.unknowns, self.unit = scene, unknowns, unit
         self._system = unknowns.system
@@ -230,8 +230,8 @@ class ProximalSteps:
         acting = scene.positive_coefficient[:, self._system.contact]
         mean = acting.mean(axis=1)
         self._coefficient = acting / mean[:, None]
-        flow = scene.slip_radius * unit
-        # (R,), force that is counted as one; then for each sample (n,), viscosities in its units, or None
+        flow = scene.slip_radius * unit  # slip speed that belongs to the unit
+        # (R,), unit of force; then for each sample viscosities (n,) in its units, None for a law without
         self._force_unit = scene.strength * (1.0 if scene.law.has_friction else flow) * mean
         viscosities = scene.viscosity_beside_friction
         self._viscosity: list[np.ndarray | None] = [
@@ -244,8 +244,7 @@ class ProximalSteps:
     def step(self, staggered: np.ndarray, duration: float) -> Step:
         """Return the implicit Euler step in time of all R samples that begins at given spins.
 
-        staggered : (C, R, *N), spins of C components and N spheres, on a lattice with the sign flipped on every second
-            sphere, 1/time; of a packing u = radius * spin.
+        staggered : (C, R, *N), carried spins of C components and N spheres.
         duration : length of the step, time.
         """
         scene = self.scene
@@ -259,6 +258,7 @@ class ProximalSteps:
             else:  # damping alone
                 spins = flowing(self._system, coefficient, self._matrix, before, inertia)
                 point, steps, ended = Iterate.start(self._system, spins, coefficient, 0.0, coefficient), 1, True
+            # A contact slips if its slip is above the margin of its force; both are in units of about 1.
             slip = length(point.difference)
             slips = slip > (point.margin if scene.law.has_friction else 0.0)
             self.unknowns.write(after, replica, self.unit * point.spins)
@@ -274,15 +274,12 @@ class ProximalSteps:
         """Return three things: the point (spins, slips and forces) at the end of a step in time with friction; the
         number of Newton steps taken; and True if it is solved.
 
-        Newton steps begin without forces of friction, at the spins before the step (or at those at which viscous
-        forces balance). The bounds of the slips begin above them by about the root mean square of all slips.
-
         friction : (n,), coefficients of friction of the n contacts, over their mean in the sample.
         viscosity : (n,), viscosities in units of the sample; None without viscous forces.
         inertia : what resists a change of the spins; its `origin` (unknowns,) is the spins before the step.
-
-        Letters: n contacts.
         """
+        # Begin without forces of friction, at the spins before the step, or where viscous forces balance. The size of
+        # the slips is the distance of the first bounds from slips that are 0.
         spins = inertia.origin
         slip = length(self._system.differences(spins))
         slack = float(np.sqrt(np.mean(slip**2)))
@@ -294,6 +291,7 @@ class ProximalSteps:
         best, steps, patience = iterate, 0, MOST_IDLE_STEPS
         with np.errstate(all="ignore"):  # where double precision ends, numbers that are not finite turn up
             try:
+                # Newton steps until the excess is small enough, or as long as it falls; then the last torques go.
                 while steps < MOST_NEWTON_STEPS and patience and not _excess(best) <= 1.0:
                     iterate = newton_step(iterate, self._matrix)
                     steps += 1

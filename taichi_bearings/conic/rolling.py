@@ -60,23 +60,23 @@ def slips_in_pairs(system: ContactSystem, packing: Packing, spins: Pair) -> np.n
     Letters: d slip components, 1 for discs and 2 for spheres.
     """
     network = system.network
+    # u of all N spheres, (N, C): the unknowns, radius * spin of driven spheres, and the known rest, which is exact.
     first, second = network.contact[:, system.contact]
     shape = system.known.shape
-    held = (packing.driven >= 0)[:, None]
+    is_driven = (packing.driven >= 0)[:, None]
     imposed = two_product(packing.spin.reshape(shape), np.broadcast_to(packing.radius[:, None], shape))
-    moving = system.moved >= 0
+    is_unknown = system.moved >= 0
     u = [
-        np.where(moving, np.append(part, 0.0)[system.moved], np.where(held, fixed, known))
+        np.where(is_unknown, np.append(part, 0.0)[system.moved], np.where(is_driven, fixed, known))
         for part, fixed, known in zip(spins, imposed, (system.known, 0.0 * system.known), strict=True)
     ]
+    # The slip is (u_i + u_j) x n, turned back by n and projected on the tangents.
     high, low = add((u[0][first], u[1][first]), (u[0][second], u[1][second]))
     if high.shape[1] == 1:
         found: np.ndarray = high.T + low.T
         return found
     n, parts = network.normal[system.contact], [(high[:, k], low[:, k]) for k in range(3)]
-    slip = [  # (u_i + u_j) x n
-        subtract(scaled(n[:, b], parts[a]), scaled(n[:, a], parts[b])) for a, b in ((1, 2), (2, 0), (0, 1))
-    ]
+    slip = [subtract(scaled(n[:, b], parts[a]), scaled(n[:, a], parts[b])) for a, b in ((1, 2), (2, 0), (0, 1))]
     vectors = np.stack([part[0] + part[1] for part in slip], axis=1)
     found = np.einsum("tek,ek->te", system.across, np.cross(n, vectors))
     return found

@@ -33,8 +33,8 @@ class LastNetwork(threading.local):
     same network. Each thread has its own, as a factorisation writes its numbers into the matrix.
 
     of : key of this network: an object that is compared by ==, and a tuple of arrays; None before the first.
-    made : pair of its contact system and of its Newton matrix with the order of elimination; the second is None if it
-        is too large to be kept or not made yet. None before the first network.
+    made : the contact system of this network, and what its samples share (None if it is not made yet, or too large to
+        be kept); None before the first network.
     """
 
     of: tuple[object, tuple[np.ndarray, ...]] | None = None
@@ -67,22 +67,21 @@ def system_of(bearing: Bearing) -> ContactSystem:
     otherwise the spheres could move without slip of any contact, which would make the Newton matrix singular. If only
     coefficients differ from the bearing of the last call, as between seeds, the system of that call is returned.
 
-    With normals in any directions there are hardly ever motions without slip. If the least eigenvalue of the factorised
-    matrix shows that there are none (`NewtonMatrix.is_regular`), they are not searched by elimination.
-
     bearing : spheres, contacts, and what is driven.
     """
 
     def make() -> Made:
-        """Return the contact system of the bearing, newly made; and what its samples share, if the check for motions
-        has factorised that already, else None."""
+        """Return the contact system of the bearing. Return also what its samples share, if that is made here anyway to
+        check that no motion is without slip; else None."""
         system = ContactSystem.before_motions(bearing)
         if system.motions is not None or not system.unknowns:
             return system, None
-        made = _made(system)
-        if not made.matrix.is_regular(isotropic(system.offset, np.ones(len(system.numbers)))):
+        # With normals in any directions motions without slip are rare. A regular Newton matrix shows that there are
+        # none; else they are found by elimination, and taken out.
+        shared = _made(system)
+        if not shared.matrix.is_regular(isotropic(system.offset, np.ones(len(system.numbers)))):
             return system.without_motions(), None
-        return system.with_motions(0), made
+        return system.with_motions(0), shared
 
     network = bearing.network
     spheres = network.center, network.radius, network.body, bearing.driven_speed
@@ -92,10 +91,10 @@ def system_of(bearing: Bearing) -> ContactSystem:
 def surroundings_of(system: ContactSystem) -> Surroundings:
     """Return what all samples on the network of a contact system share: the contacts, an order in which unknowns are
     eliminated, and the Newton matrix. If possible the contacts are those over signed spins, so that each slip is a
-    difference of two unknowns (`ContactSystem.signed`); else those of `system`.
+    difference of two unknowns (`ContactSystem.signed`).
 
-    It is kept for later calls, of other samples, if the system is the last that :func:`system_of` has returned in this
-    thread, and has fewer than KEPT_UNKNOWNS unknowns.
+    A second call for the system that :func:`system_of` has returned last in this thread gives the same object, if the
+    system has fewer than KEPT_UNKNOWNS unknowns.
 
     system : the contacts, over plain spins.
     """
@@ -119,8 +118,7 @@ def surroundings_of_lattice(lattice: Lattice, spin_axes: tuple[int, ...], top: P
     """
 
     def make() -> Made:
-        """Return the contact system of this lattice, newly made, and what samples share: with it an order of
-        elimination and a Newton matrix."""
+        """Return the contact system of this lattice, and what its samples share."""
         system = lattice_system(lattice, spin_axes, top[0], top[1] if top[1].any() else None)
         order = dissect(lattice, spin_axes)
         matrix = NewtonMatrix(system, order, engine=Engine.LAUNCH if small else None) if top[0].any() else None
