@@ -46,9 +46,9 @@ class BalanceKernels:
     chains : (C, longest side, height), flat; with folded columns (C, 2, longest side, half column): the factors by
         which the elimination of a chain multiplies, for each component, place along the chain, and mode. With periodic
         axes as many numbers follow that close chains to rings.
-    count : spheres of all samples.
+    count, sites : spheres of all samples, and of one sample. In `chains_on_cpu`, where columns are filled up or folded,
+        they count the numbers in `modes` instead, those of one component or of one of its halves.
     stride_x, stride_y : distance in memory, in spheres, from one to its neighbour along x and along y.
-    sites : spheres of one sample.
     longest : spheres of the longest chain.
     weight : relative stiffness of the springs along the chains."""
 
@@ -59,8 +59,8 @@ class BalanceKernels:
         spec : names and numbers of components of the fields, in the order of their rows (a row is one number of every
             sphere).
         stencil : spin components, dimension and periodic axes of the lattice.
-        folds : True if columns are folded.
-        kinds : types of the numbers of the fields and of `modes`, such as "float64"; kernels of others are others."""
+        folds : True to fold each column of spheres into two half columns, as on large lattices.
+        kinds : types of the numbers of the fields and of `modes`, such as "float64", for which kernels are compiled."""
         slot = first_slots(spec)  # first row of each field by name
         self.pull, self.potential = slot["pull"], slot["potential"]
         # row of what the rounding of `potential` leaves out, where that is stored

@@ -572,10 +572,10 @@ class Passes:
     one, two, both : kernels for contacts with one slipping component, for those with two, and for both kinds.
     shared : kernel for both kinds whose work threads share; its results have the same bits.
     law : name of the function of one contact that is called for every contact.
-    iterate, step : rows of the iterate, and of the step that is written, that the first numbers of the law go to; for
-        contacts with one slipping component, and for those with two. A row has one number of each contact.
-    finds : for each further number of the law the index of its result; below LEAST_FOUND the least number is found,
-        else the sum.
+    iterate, step : rows into which the first numbers of the law's list are written: of the iterate, and of a step. Each
+        is two tuples, for contacts with one slipping component and with two. A row has one number of each contact.
+    finds : for each further number of the list the index of its result over all contacts, 0 to FOUND - 1: the least
+        number for indices below LEAST_FOUND, else the sum.
     """
 
     one: Callable

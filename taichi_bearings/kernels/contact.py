@@ -98,8 +98,8 @@ def coulomb_viscous_force(spin_difference: ti.template(), coefficients: ti.templ
 FORCES = {"coulomb": coulomb_force, "viscous": viscous_force, "coulomb-viscous": coulomb_viscous_force}
 """For each law of scene/law.py by name, its force along D; a steep linear part stands in for jumps of the force.
 
-Arguments of these functions: D, the coefficients in one unit, and the sharpness of a law with friction, or the radius R
-of one without. The slip speed is R |D|."""
+Arguments of these functions: D; the coefficients in one unit, a viscosity beside friction times R; and the sharpness of
+a law with friction, or the radius R of one without. The slip speed is R |D|."""
 
 
 def force_on_device(law: str) -> Callable[..., Any]:
@@ -107,8 +107,8 @@ def force_on_device(law: str) -> Callable[..., Any]:
 
     law : name of the law.
 
-    Raises InputError if the table has no force of this law, or one that uses what vectors over contacts do not know, at
-    which the compiler would end the process.
+    Raises InputError if the table has no force of this law, and if the force uses something that does not work on
+    vectors over contacts, since the compiler would then end the process.
     """
     if law not in FORCES:
         raise InputError(
@@ -155,10 +155,10 @@ def _is_static(test: ast.expr) -> bool:
 
 @ti.data_oriented
 class ForceTrial:
-    """A kernel that evaluates a force law at single contacts.
+    """A kernel that evaluates a force law at single contacts: at a spin difference d of one component, and at one with
+    the components 0.6 d and 0.8 d, which is as long.
 
-    force_law : Taichi function, such as one of `FORCES`.
-    """
+    force_law : Taichi function, such as one of `FORCES`."""
 
     def __init__(self, force_law: Callable[..., Any]) -> None:
         """Store the force law."""

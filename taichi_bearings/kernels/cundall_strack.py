@@ -159,12 +159,12 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
 
         Attributes that the passes use:
 
-        order, holds, tally : how many numbers are kept of a spin; whether contacts have friction, by springs; whether
-            an energy balance is kept.
+        order : how many numbers are kept of a spin. tally : True if an energy balance is kept.
+        holds : True if contacts have friction, by springs.
         unstored : 1 if the spin predicted for the end of a step has no field of its own, else 0.
         slot : first row of each field, by name. moved : first rows of the fields that a step of the spheres writes.
-        spin, integral, force, elongation : for each axis, the rows of the spin components that make its contacts slip,
-            or of the forces or springs along these.
+        spin, integral : for each axis, the rows of the spin components that make its contacts slip.
+        force, elongation : for each axis, the rows of the forces, or of the springs, along these components.
         ahead : tuples like `spin`, one for each field of which the predicted spins are the sum.
         coefficients : for each axis the row of the friction coefficient, and of the viscosity if there is one.
         pulling : two tuples with a pair (axis, row of a contact force) for each spin component. The two forces of a

@@ -49,7 +49,7 @@ class ContactStep(Sweeps):
 
         spec : names and numbers of components of the fields, in the order of their rows.
         stencil : spin components, dimension and periodic axes of the lattice.
-        kind : type of the numbers of the fields, such as "float64"; kernels of another type are others."""
+        kind : type of the numbers of the fields, such as "float64", for which the kernel is compiled."""
         super().__init__(stencil.block, stencil.periodic)
         self.together = 1  # solving for the spins comes between two of these steps
         # slot: first row of each field by name. Then the rows that belong together: for each axis those of the spin
