@@ -93,10 +93,10 @@ def minimum_cut(weight: tuple[np.ndarray, ...], rounding: float = 0.0) -> Minimu
 
 
 def flow_cut(weight: tuple[np.ndarray, ...], rounding: float = 0.0) -> MinimumCut:
-    """Find lightest cuts between bottom and top plane of R lattices by a largest flow, whatever the lattice; their
-    field `next_weight`, the weight of the lightest other cut, is NaN.
+    """Return lightest cuts between bottom and top plane of R lattices of any kind, found by a largest flow. The weight
+    of the lightest other cut, `next_weight`, is not computed but NaN.
 
-    weight : one array (R, *contacts) for each axis, none negative.
+    weight : one array (R, *contacts) for each axis, none negative, the height last.
     rounding : relative error of each weight.
 
     For planar grids this is slower than shortest paths, but shares no code with them.

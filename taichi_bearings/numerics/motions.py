@@ -101,8 +101,8 @@ def slipless_motions(slips: sparse.csr_array, sphere: np.ndarray, parts: Parts) 
 
     slips : (rows, unknowns) that matrix; an unknown is a component of the spin of a free sphere.
     sphere : (unknowns,) sphere that each unknown belongs to.
-    parts : order of elimination of the spheres, a tree with children first: for each part the numbers of its spheres,
-        and of the parts below it. Of two spheres in contact, the part of one is above that of the other, or the same.
+    parts : order of elimination of the spheres, a tree with children first: for each part the numbers of its spheres
+        and of its child parts. Two spheres in contact are in one part, or one is in a part above that of the other.
     """
     if not slips.shape[1]:
         return Motions(np.zeros(0, dtype=np.int64), True, 0.0, np.inf, (), 0)
@@ -164,7 +164,7 @@ def unknowns_of(sphere: np.ndarray, parts: Parts) -> list[np.ndarray]:
     """Return the numbers of the unknowns of each part of an elimination order, one array for each part.
 
     sphere : (unknowns,) number of the sphere that each unknown belongs to.
-    parts : for each part, children first, the numbers of its spheres, and of the parts below it.
+    parts : for each part, children first, the numbers of its spheres and of its child parts.
     """
     order, own = np.concatenate([spheres for spheres, _ in parts]), [len(spheres) for spheres, _ in parts]
     place, part = np.empty(len(order), dtype=np.int64), np.repeat(np.arange(len(own)), own)

@@ -152,8 +152,8 @@ class Cholesky:
         return self.pattern.entry(first, second)
 
     def factor(self, samples: int = 1) -> "Factor":
-        """Return the object that factorises and solves for `samples` matrices of the pattern at a time: one matrix, or
-        up to LANES (the lanes of a SIMD vector). The same object is returned in every call for as many."""
+        """Return the object that factorises and solves for `samples` matrices of the pattern at a time, the same in
+        every call: one for a single matrix, another one for 2 to LANES matrices (the lanes of a SIMD vector)."""
         lanes = 1 if samples == 1 else LANES
         if lanes not in self._factors:
             if isinstance(self.pattern, BlockPattern):
@@ -387,8 +387,8 @@ class CalledFactor(Factor):
         ]
 
     def _taken_memory(self) -> np.ndarray:
-        """Return the doubles of the shared memory, as many as this factor needs or more; raise MemoryError if there are
-        too few."""
+        """Take the shared memory and return it, as many doubles as this factor needs or more; raise MemoryError if
+        there are too few."""
         return self._memory.take(self, self._layout.size, f"the factorisation of {self._size:,} unknowns")
 
     def reserve(self) -> None:

@@ -30,9 +30,9 @@ class Batch:
 
     fronts : (fronts of the batch,), the index of each among all fronts.
     doubles : how many doubles of memory the fronts need.
-    items : (begin, end) in the list of all work items: those that assemble these fronts. A work item is some columns
-        of one front, which one thread fills with matrix entries and with what earlier fronts leave. If `whole`, (begin,
-        end) in the table of branches instead.
+    items : (begin, end) of the work items that assemble these fronts, in the list of all. A work item is some columns
+        of one front, which one thread fills with matrix entries and with what earlier fronts leave. If `whole` is True,
+        (begin, end) of the branches of the batch, in the table of branches.
     whole : True if the batch consists of branches: subtrees of fronts, each of which one kernel call does completely.
     """
 

@@ -19,9 +19,9 @@ class ShortestPaths:
     length, next_length : (B,) length of the path, the sum of the weights of the contacts that it crosses; and length of
         the shortest other path.
     contacts : (B,) number of contacts that the path crosses.
-    from_left : (B, w + 1, h - 1) distance of each face from the left outside. Column 0 is the left outside itself, and
-        column w the right one, for which infinity stands in place of `length`.
-    from_right : (B, w + 1, h - 1) distance of each face from the right outside, likewise.
+    from_left : (B, w + 1, h - 1) distance of each face from the left outside. Column 0 is the left outside itself;
+        column w is the right one, where infinity is stored, not `length`.
+    from_right : (B, w + 1, h - 1) distance of each face from the right outside, likewise with infinity in column 0.
     inner : (B, w - 1, h - 2) mask of the contacts within a row that the path crosses; the end rows have none.
     upward : (B, w, h - 1) mask of the contacts between two rows that the path crosses.
     """
