@@ -61,8 +61,8 @@ class Case:
     settings : further arguments of :func:`taichi_bearings.solve`.
     unit : power of the sample over the power of `scaled`, if its units were changed.
     scaled : the scene before its units were changed; None if they were not.
-    is_layered : True if contacts along the height are alike in each layer, so that its exact minimum is found column by
-        column (:func:`.truth.layered`).
+    is_layered : True if all columns of spheres have equal contacts along the height, so that the exact minimum is found
+        column by column (:func:`.truth.layered`).
     refusal : True if the only right answer is an error that refuses the input.
     """
 
@@ -288,11 +288,10 @@ def _nearly_equal(_: Scene, value: str) -> dict[str, Any]:
 
 
 def _common_state(_: Scene, value: float) -> dict[str, Any]:
-    """Return bearing states A + C x of top and bottom, (A_x, A_y, A_z, C) by name, to both of which the same large
-    state is added; the minimum then differs by this state alone.
+    """Return by name the imposed bearing states of bottom and top, (A_x, A_y, A_z, C) each; the spin at position x is A
+    + C x, with alternating signs. The same large state is added to both; at the minimum it is added to all spins.
 
-    value : size of the added state, 1/time. Its spins along y vanish at the second sphere along y, where A_y cancels C
-        y.
+    value : size v of the large state (v, -v, v, v), 1/time; its A_y cancels C y at the second sphere along y.
     _ : the scene, not used.
     """
     top, bottom = (1.0, 0.5, 0.0, 0.5), (value, -value, value, value)
@@ -337,16 +336,16 @@ SIDES = {
 
 
 def _sides(case: Case, value: str, row: Row) -> Case:
-    """Return the case on a lattice of another size. Contacts along the height are alike in each layer, sideways
-    contacts are random, so that the exact minimum is known.
+    """Return the case on a lattice of another size. Its exact minimum is known, since all columns have equal contacts
+    along the height; sideways contacts are random.
 
     value : name of the size, a key of SIDES, such as "flat".
     row : row of the report; its law and dimension, 2 or 3, are those of the scene.
     """
 
     def draw(rng: np.random.Generator, shape: Sequence[int]) -> np.ndarray:
-        """Return uniform coefficients for the contacts along one axis, an array of this shape; along the height those
-        of the first column everywhere.
+        """Return uniform coefficients for the contacts along one axis, an array of this shape. Along the height each
+        column gets those of the first column.
 
         rng : generator of random numbers.
         """
@@ -462,8 +461,8 @@ AXES = {
 
 @dataclass(frozen=True)
 class Cell:
-    """One thing that is tried: one extreme value of a parameter, for one method, law, dimension, device and
-    precision. The worker processes of scans can solve it.
+    """A sample with one extreme value of a parameter, to be solved by one method, with one law, dimension, device and
+    precision. `key`, `label` and `settings` are what the workers of scans need of a sample.
 
     axis : name of the parameter, a key of AXES.
     value : one of its values.
@@ -519,8 +518,8 @@ def cells_of(rows: Sequence[Row], axes: Sequence[str], seed: int, quick: bool, s
     rows : combinations of method, law, dimension, device and precision.
     axes : names of the axes.
     seed : seed of the samples.
-    quick : take smaller samples, only the first values of axes that need patience, and then only every QUICK-th cell,
-        or about QUICK_CELLS cells if these are more.
+    quick : take smaller samples, and only the first values of axes that need patience. Of the cells only every QUICK-th
+        is returned, or more of them, so that there are about QUICK_CELLS at least.
     seconds : time limit of a solve; it is multiplied by the patience of the axis, unless `quick`.
     """
     found = []

@@ -154,8 +154,8 @@ class Judge:
 
 
 def _error(truth: Truth, objective: float | None) -> float | None:
-    """Return the relative error of an objective: its excess over the least value, at least 0, over its size; None
-    without an objective. If it is nearly 0, the divisor is the unit of the truth.
+    """Return the relative error (objective - least value) / |objective|, at least 0; None without an objective. If
+    |objective| is below the unit of the truth, that unit is the divisor.
     """
     if objective is None:
         return None

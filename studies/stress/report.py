@@ -171,12 +171,13 @@ def _error_in_words(line: Line) -> str:
 
 
 def scaling(rows: Sequence[Line]) -> dict[str, Any]:
-    """Return how exactly right answers scale with the units, by method and precision.
+    """Return how exactly right answers scale with the units, by method and precision. Each power in other units is
+    compared with the power in plain units times the ratio of the units.
 
     rows : finished cells.
 
-    returns : for each, the number of cells whose power is that of the cell with plain units times the unit, bit for bit
-        (`exact`); of how many (`of`); and the largest relative deviation.
+    returns : for each, the number of powers compared (`of`), the number of those that are equal bit for bit (`exact`),
+        and the largest relative `deviation`.
     """
     found: dict[str, list[float]] = {}
     scaled = [line for line in rows if line["axis"].endswith("-scale") and line["outcome"] == RIGHT]

@@ -2,9 +2,9 @@
 
 It is found in two ways. :func:`least` follows the central path of a small sample (minima of the cost plus a barrier
 that goes to 0) in Python's decimals; the least value is enclosed by the cost of its spins from above and the work of
-its balanced forces from below. :func:`layered` is for samples of any size whose contacts along the height are alike in
-each layer: all columns then slip between the same layers, no contact sideways slips or bears a force, and the minimum
-of a column is known in closed form.
+its balanced forces from below. :func:`layered` is for samples of any size in which all columns have equal contacts
+along the height: all columns then slip between the same layers, no contact sideways slips or bears a force, and the
+minimum of a column is known in closed form.
 
 The path goes to the middle of all minima: a contact slips at some minimum just if its slip has a limit above 0.
 (`tests/stress/minima.py` goes on from there to what all minima have in common.)
@@ -39,8 +39,8 @@ class Truth:
     lower, upper : bounds of the least objective, energy/time.
     state : states of the contacts, an array for each axis: SLIPLESS at every minimum, SLIPPING in the middle of the
         minima, or UNCLEAR; empty where states are not known.
-    unit : energy/time. If the least objective is 0, errors are given relative to it. It is the cost if all contacts
-        slipped by the difference of the imposed spins (by the unit of spins, if there is none).
+    unit : energy/time, to which errors are relative if the least objective is 0; otherwise 0. It is the cost if each
+        contact slipped by one unit of spins (`unit_of`; by the spin of the top, where top and bottom have the same).
     """
 
     lower: Decimal
@@ -78,11 +78,10 @@ def unit_of(scene: Scene) -> Decimal:
 
 
 def jump_of(scene: Scene) -> dict[int, np.ndarray]:
-    """Return for each spin component k that drives slip the difference of the imposed spins, top minus bottom, as exact
-    decimals: {k: (columns,)} with one number for each sphere of the top, or {k: (1,)} if all are equal.
-
-    The numbers are in 1/time if the scene has `top` and `bottom`; otherwise they are components of the direction of the
-    spins, in units of spin_top - spin_bottom. In 2D, k is 2.
+    """Return the difference of the imposed spins, top minus bottom, by spin component k (0, 1; 2 in 2D), as decimals.
+    Components that drive no slip are left out. Each is (columns,), one number for each sphere of the top, or (1,) if
+    all are equal. The unit is that of `unit_of`: 1/time if the scene has `top` and `bottom`, else the difference of
+    spin_top and spin_bottom, so that the numbers are components of the direction of the spins.
     """
     if scene.top is not None and scene.bottom is not None:
         (*high, rise), (*low, fall) = ([Decimal(part) for part in of] for of in (scene.top, scene.bottom))
@@ -210,8 +209,9 @@ class Sample:
         return found
 
     def enclosure(self, barrier: Decimal) -> tuple[Decimal, Decimal]:
-        """Return two bounds of the least cost, energy/time, the lower one first. It is the work of the driven planes,
-        less the most that forces out of balance can take from it; the upper one is the cost of the present spins.
+        """Return a lower and an upper bound of the least cost, energy/time. The lower bound is the work of the driven
+        planes, less c |d|^2 / 2 of all slips d, less the most that forces out of balance can take. The upper bound is
+        the cost of the present spins.
 
         barrier : energy/time, how much the cost is smoothed.
         """
@@ -289,7 +289,8 @@ def followed(scene: Scene, sample: Sample) -> tuple[Truth, Decimal]:
 
 
 def _truth_without_slip(scene: Scene) -> Truth:
-    """Return the truth of a scene in which no contact need slip: a least objective of 0."""
+    """Return bounds of 0 on the least objective of a scene in which no contact need slip, with the unit of errors."""
+    # spins that are equal have no difference as their unit; a bottom at rest gives one
     moving = scene if scene.top is not None or scene.spin_top != scene.spin_bottom else replace(scene, spin_bottom=0.0)
     a, c = _costs(moving)
     return Truth(Decimal(0), Decimal(0), unit=(a + c / 2).sum())
@@ -317,8 +318,8 @@ def _states(scene: Scene, sample: Sample, barrier: Decimal) -> tuple[np.ndarray,
 
 
 def layered(scene: Scene) -> Truth:
-    """Return the exact least cost, as two equal bounds, of a scene of any size whose contacts along the height are
-    alike in each layer: each column of spheres is solved as a chain. Raises ValueError for friction with viscosity if
+    """Return the exact least cost, as two equal bounds, of a scene of any size in which all columns of spheres have
+    equal contacts along the height: each column is solved as a chain. Raises ValueError for friction with viscosity if
     the imposed spins vary over the plane.
     """
     with localcontext() as context:
@@ -330,7 +331,7 @@ def layered(scene: Scene) -> Truth:
             raise ValueError(
                 "with friction and viscosity the imposed spins of all spheres in a driven plane must be equal"
             )
-        # contacts of the first column, which all columns are like; each distinct jump is solved once
+        # costs of the first column, which stands for all; each distinct jump is solved once
         first = scene.lattice.spans[-1].start
         a, c = (costs.tolist() for costs in _costs(scene, slice(first, first + scene.lattice.shape[-1] - 1)))
         if not any(across):
