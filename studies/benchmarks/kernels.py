@@ -109,8 +109,8 @@ def _candidates(scene: Scene, precision: str, folder: Path) -> Iterator[Candidat
 
 
 def _candidate(name: str, method: Any, scene: Scene, start: str) -> Candidate:
-    """Return a method as something to time. Its `seconds_compile` are those by which its first start took longer than
-    its second: to compile, or to load compiled code.
+    """Return a method, begun and ready to be timed. Its `seconds_compile` is the time by which its first start took
+    longer than its second: to compile, or to load compiled code.
 
     name : name in the table.
     method : the method, not yet begun.

@@ -49,8 +49,8 @@ class ConicProgramme:
     0 in the first rows, then not negative, then in second-order cones of three rows each.
 
     scene, system : the sample, and its contacts and unknown spins.
-    slips : indices of slip components among the d n of the system (n contacts that can slip, d components): that of
-        contacts with one component, then the first one of contacts with two, then the second one.
+    slips : indices of the slip components of the programme among all d n of the system (n contacts that can slip, d
+        components): first all contacts with one component; then, of all contacts with two, the first, then the second.
     quadratic, linear : P and q.
     matrix, offset : A and b.
     equalities, inequalities, cones : numbers of rows in which s is 0, of rows in which it is not negative, and of
@@ -114,8 +114,9 @@ class ConicProgramme:
 
 
 def conic_programme(scene: Scene) -> ConicProgramme:
-    """Return the least power of a scene of one sample as a conic programme. Raises InputError for several samples, and
-    for contacts with both friction and viscosity.
+    """Return the least power of a scene of one sample as a conic programme. Its variables are the unknown spins, and
+    for each contact a bound t on its slip |y| if it has friction, or its slip components v if it is viscous.
+    Raises InputError for several samples, and for contacts with both friction and viscosity.
     """
     if scene.replicas != 1:
         raise InputError(
@@ -136,7 +137,7 @@ def conic_programme(scene: Scene) -> ConicProgramme:
     matrix, offset = system.operator[slips], system.offset.ravel()[slips] / (scene.lattice.radius * (scene.jump or 1.0))
     coefficient = np.where(can_change.any(axis=0), scene.coefficient[0, system.contact], 0.0)
     unknowns, nothing = system.unknowns, np.zeros(system.unknowns)
-    if not scene.law.has_friction:
+    if not scene.law.has_friction:  # y - v = 0
         rows = len(slips)
         return ConicProgramme(
             scene,

@@ -67,8 +67,8 @@ def _of_children() -> float:
 
 
 def measure(rounds: int) -> Measurements:
-    """Yield a row for each of COMMANDS, with the kernels of an earlier start and without any, and one for the compiler:
-    the time from the first to the last instruction.
+    """Yield a row with the time of a whole process: two for each of COMMANDS, with kernels kept from an earlier start
+    and with none, and one for the compiler alone.
 
     rounds : how often each is started.
 

@@ -72,7 +72,7 @@ def _scans(plan: Plan) -> Iterator[tuple[str, Callable[[], Measurements]]]:
 
 
 def _start(plan: Plan) -> Iterator[tuple[str, Callable[[], Measurements]]]:
-    """Yield the one part of the benchmark of starts: a name and a function that yields its rows."""
+    """Yield the one part of the benchmark of how long commands take to start: a name, and a function of its rows."""
     yield "of commands", partial(start.measure, min(5, plan.rounds))
 
 
