@@ -312,16 +312,16 @@ class _Sentences(string.Formatter):
             return counted(int(value), rest)
         if way == "list":
             return ", ".join(self.format_field(part, rest) for part in value) or "none"
-        if way == "by" and not isinstance(value, Mapping):
+        if way == "by" and not isinstance(value, Mapping):  # a table becomes a dictionary by the values of the column
             column, _, rest = rest.partition(" ")
             value = value.by(column)
-        if way == "by":
+        if way == "by":  # integer keys are sides of cubes; the number of samples of each is added
             parts = [(key, self.format_field(part, rest)) for key, part in value.items()]
             if all(isinstance(key, int) for key in value):
                 number = {} if rest == "hits" else {side: f" ({len(part)})" for side, part in value.items()}
                 return ", ".join(f"{text} at {side}^3{number.get(side, '')}" for side, text in parts)
             return "; ".join(f"{name}{':' if 'interval' in rest else ''} {text}" for name, text in parts)
-        if way == "each":
+        if way == "each":  # the phrase named by `rest`, filled in for each entry
             named = ((name, of if isinstance(of, dict) else {"it": of}) for name, of in value.items())
             return "; ".join(self.fill(self.phrases[rest], name=name, **of) for name, of in named)
         return str(super().format_field(value, format_spec))

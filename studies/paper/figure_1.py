@@ -104,17 +104,17 @@ def contacts_between(scene: Scene, above: np.ndarray) -> np.ndarray:
 
 
 def cuts_of(minimum: Solution, cut: MinimumCut, by_flow: MinimumCut) -> Table:
-    """Return a table of the exact minima of 2D Coulomb samples, found as shortest paths, compared with the same cuts
-    found as largest flows.
+    """Return a table of the exact minima of 2D Coulomb samples, which are minimum cuts, found as shortest paths and, to
+    compare, as largest flows.
 
     minimum : the solution from the shortest paths.
     cut, by_flow : the minimum cuts by shortest paths and by flows.
 
     Columns: `power`, its `lower_bound`, and `cut_power_by_flow`, energy/time; `distance`, weight of the second lightest
-    cut over that of the minimum cut, less 1; `contacts_of_cut`, their number; `is_level`, True if the cut lies between
-    two layers; `unique`, True if no other cut is as light; `spread`, the largest relative difference between the power
-    and its three other values: the bound by friction forces, and cut and bound by the flow; `same_cut`, True if both
-    ways cut the same contacts.
+    cut over that of the minimum cut, less 1; `contacts_of_cut`, number of contacts of the cut; `is_level`, True if the
+    cut lies between two layers; `unique`, True if no other cut is as light; `spread`, largest relative difference of
+    the power from its lower bound and from weight and lower bound of the flow, as powers; `same_cut`, True if shortest
+    paths and flows cut the same contacts.
     """
     scene, power = of_lattice(minimum.scene), minimum.power
     unit, contacts = cut_unit(scene), contacts_between(scene, cut.above)
@@ -231,12 +231,12 @@ def two_boundaries(exact: Table, cut: MinimumCut, ended: Solution) -> Table:
     """Return the samples whose descent does not end at the minimum cut, with columns on the second lightest cut.
 
     exact : table of the minima, with the column `differs`: True if the descent ends elsewhere.
-    cut : the minimum cuts.
+    cut : the minimum cuts of the samples in `exact`.
     ended : the solution at the end of the descents.
 
     Columns: `within`, True if all contacts that slip visibly belong to one of the two lightest cuts; `at_second`, True
-    if some contact slips visibly that belongs to the second alone; `same`, True if flows find a second cut of the same
-    weight: the lightest of those that spare a contact of the minimum cut.
+    if some contact slips visibly that belongs to the second alone; `same`, True if the second lightest cuts found by
+    flows and by shortest paths (in `cut`) have equal weights.
     """
     scene, chosen = of_lattice(ended.scene), np.flatnonzero(exact.differs)
     weight = scene.lattice.by_axis(cut_weights(scene)[chosen])

@@ -111,9 +111,8 @@ def largest_difference(run: Run, other: Run) -> float:
 def course_of(run: Run, seeds: Sequence[int], minima: Table) -> Table:
     """Return the power of one relaxation against time, a table with a row for each sample and time.
 
-    run : relaxation of the first R of some samples.
-    seeds : seed of each of these samples.
-    minima : table of their minima, with the column `power`.
+    run : relaxation of R samples.
+    seeds, minima : seeds, and table of minima with the column `power`, of these R samples and perhaps more after them.
 
     Columns: `time`, `power`, and the power over its initial value and over the least power.
     """

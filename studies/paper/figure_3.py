@@ -34,8 +34,8 @@ TOWARDS_READER = (1, -1, 1)  # sign, for planes across x, y and z, of the direct
 
 
 def study(folder: Path, effort: Effort) -> StudyResult:
-    """Find the minima of samples of the paper's size, for Fig. 3; return the spheres of the path of the one that is
-    shown, the figure, and values for the claims.
+    """Return Fig. 3, which shows one sample, a table of the spheres on its shortest slipless path from bottom to top,
+    and values for the claims, from the minima of several samples.
 
     folder : folder where finished samples are kept until the study ends.
     effort : first seed and number of samples.
@@ -52,8 +52,8 @@ def study(folder: Path, effort: Effort) -> StudyResult:
 
 
 def planes(folder: Path, effort: Effort) -> StudyResult:
-    """Find for Fig. 4 the lattice planes that are drawn, and which contacts of the path lie in them; return the figure
-    and values for the claims.
+    """Return Fig. 4 and the values for its claims: the lattice planes that are drawn, and for each contact of the
+    shortest slipless path from bottom to top whether it lies in one of them (`held`).
 
     folder : folder where finished samples are kept until the study ends.
     effort : first seed and number of samples.
@@ -66,7 +66,7 @@ def planes(folder: Path, effort: Effort) -> StudyResult:
     return StudyResult({}, lambda _: draw_plane_cuts(shown), named)
 
 
-@lru_cache(maxsize=1)  # of both figures
+@lru_cache(maxsize=1)  # Fig. 3 and Fig. 4 share the samples
 def minima(folder: Path, effort: Effort) -> tuple[Table, Structure]:
     """Return a table of samples of the paper's size at their certified minima, and the structure (network, domains,
     cut) of the one that is shown: the first whose slipless contacts join bottom and top, or the first of all.

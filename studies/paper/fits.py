@@ -74,7 +74,7 @@ class Law(Fitted):
 
     @property
     def follows(self) -> bool:
-        """False where no sizes follow the law; the value then means nothing."""
+        """True if the sizes from `smallest` on follow the law; otherwise the value means nothing."""
         return self.goodness >= LEAST_GOODNESS
 
 
@@ -83,8 +83,8 @@ class Exponent(Law):
     """The growth of a standard deviation with the size L: sd^2 = amplitude L^(2 value) + offset + further terms.
 
     offset : what single contacts add, whatever the size.
-    errors : standard error of the value for each of `fits`. Where one is as large as the systematic error, both are the
-        same scatter.
+    errors : standard error of the value in each of the fits that were tried. If one is as large as the systematic
+        error, that error is scatter, too.
     """
 
     offset: float
@@ -165,9 +165,9 @@ def _resampling_factors(samples: Mapping[int, np.ndarray]) -> np.ndarray:
 def _terms_over_errors(
     sizes: np.ndarray, spread: np.ndarray, further: Sequence[float], values: np.ndarray
 ) -> np.ndarray:
-    """Return the columns of the linear least squares problems for the factors of the terms of a law, (trials, sizes,
-    terms): for each trial exponent and each size L first L^(2 exponent), then L to the power of each further exponent,
-    all divided by the error of what is fitted.
+    """Return the matrices of linear least squares, (trials, sizes, terms), one for each trial exponent, by which the
+    factors of the terms of a law are fitted. Columns: L^(2 exponent) for the sizes L, then L to the power of each
+    further exponent, all divided by the error of what is fitted.
 
     sizes, spread : (sizes,) the sizes, and the standard error of what is fitted at each.
     further : exponents of L in the further terms.
@@ -181,8 +181,8 @@ def _terms_over_errors(
 def _best_exponents(
     sizes: np.ndarray, spread: np.ndarray, further: Sequence[float], columns: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """Return two things for several series of numbers that grow with the size L: (series,) the exponents x with which A
-    L^(2 x) and further terms fit each best; and the misfit (chi-squared) of the first series.
+    """Return the exponents x (series,) of the best fits of A L^(2 x) and further terms to several series of numbers,
+    which grow with the size L; and the misfit (chi-squared) of the first series.
 
     sizes, spread : (sizes,) the sizes, and the standard error of the numbers at each.
     further : exponents of L in the further terms.
@@ -217,9 +217,9 @@ class Limit(Law):
 
 
 def limit(samples: Mapping[int, np.ndarray]) -> Limit | None:
-    """Return the limit of the mean of samples for infinite size, from the smallest size on from which the law fits;
-    the largest three sizes are used if it fits from none. None where fewer than three sizes have enough samples, or
-    a size has no scatter.
+    """Return the mean of samples extrapolated to infinite size L by the law value + amplitude L^-STATED. The fit begins
+    at the smallest size from which the law fits, or else takes the three largest sizes. None is returned if fewer than
+    three sizes have enough samples, or a size has no scatter.
 
     samples : for each size, numbers (samples,).
     """
@@ -253,10 +253,10 @@ def limit(samples: Mapping[int, np.ndarray]) -> Limit | None:
 
 @dataclass(frozen=True)
 class Collapse(Fitted):
-    """The exponent a (`value`) for which curves against n / L^a lie closest together, from the smallest size on from
-    which they do.
+    """The exponent a (`value`) for which curves of several sizes L, drawn against n / L^a, lie closest together. Sizes
+    below `smallest` are left out, since their curves lie apart.
 
-    fits : for each smallest size, the value, its error and the misfit.
+    fits : by the smallest size that was used, the value, its error and the misfit.
     misfit : chi^2 for each degree of freedom: the mean square distance of points from the other curves, in units of
         their errors.
     """

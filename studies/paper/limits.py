@@ -83,12 +83,12 @@ def limits_of(table: Table) -> dict[str, Limit]:
 def names_of(of_systems: Mapping[str, Table], limits: Mapping[str, Mapping[str, Limit]]) -> dict[str, Any]:
     """Return the values that the figure and the claims use, by name.
 
-    of_systems : for each system the table of its samples.
+    of_systems : for each system (kind of bearing, such as the paper's) the table of its samples.
     limits : for each system and quantity the extrapolated value.
 
-    Among them: `paper`, the samples of the paper's bearing; `large`, those of at least LARGE spheres a side;
-    `spanning`, those whose slipless contacts join bottom and top; `common`, the largest side that all systems have;
-    `variants`, for each other system its samples of that side, and `beside`, those of the paper's bearing.
+    Samples of the paper's bearing: `paper`, all; `large`, with at least LARGE spheres a side; `spanning`, whose
+    slipless contacts join bottom and top; `beside`, with the side `common`, the largest that all systems have. Samples
+    of each other system with this side are in `variants`, by its name.
     """
     paper = of_systems[PAPER]
     common = min(of.side.max() for of in of_systems.values())

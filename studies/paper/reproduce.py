@@ -169,7 +169,7 @@ def reproduce(
     asked = {*chosen, *before["figures"], *before["missing"]}
     missing = [name for name in FIGURES if name in asked and name not in done]
     unknown = [name for name in missing if name not in (*before["figures"], *before["missing"])]
-    refuse_standing([path for name in unknown for path in _files(name, folder)], force)  # they are somebody else's
+    refuse_standing([path for name in unknown for path in _files(name, folder)], force)  # no report here names them
     expected, interrupted = (lambda name: FIGURES[name].seconds[effort.quick]), False
     with writable_folder(folder):
         for name in chosen if force else ():
@@ -210,7 +210,7 @@ def _earlier_report(folder: Path, effort: Effort) -> dict[str, Any]:
         figures, missing = dict(report["figures"]), list(report["missing"])
         known = bool(differ) or {*figures, *missing} <= FIGURES.keys()
         if not differ:
-            page(describe(folder, effort, figures, missing), {})  # nothing that a report says is lacking
+            page(describe(folder, effort, figures, missing), {})  # raises an error if the report lacks anything
     except (FileError, ValueError, LookupError, TypeError, AttributeError):
         known = False
     if not known:

@@ -206,8 +206,8 @@ def computed(parts: Sequence[Part], journal: Path, name: str, workers: int = 0) 
     journal : file to which each finished piece is appended at once; what it has already is not computed again. The
         caller removes it when the study is done.
     name : what a piece is called in progress reports and errors, such as "sample".
-    workers : number of processes. 1 computes everything in this process; 0 takes as many as processors and memory allow
-        and the work is worth.
+    workers : number of processes. 1 computes everything in this process; 0 chooses the number from the processors, the
+        free memory and the amount of work.
 
     Raises BearingsError if the computation of a piece fails.
     """
@@ -298,8 +298,8 @@ def planned(scans: Mapping[str, int], effort: Effort) -> Iterator[RunSettings]:
     """Yield the settings of all samples of some scan files of examples/studies.
 
     scans : names of the files; for each the largest first side of samples that the quick form takes.
-    effort : the number of seeds of each scan is that of its file times effort.samples over the default number SAMPLES,
-        at least LEAST_SEEDS.
+    effort : first seed, number of samples, and whether it is the quick form. The number of seeds in a file is for the
+        default number of samples and changes in proportion; it is at least LEAST_SEEDS.
     """
     for name, largest in scans.items():
         path = SCANS / f"{name}.toml"
@@ -422,14 +422,14 @@ def relax(
     scene: Scene, start: str, springs: CundallStrack | None = None, steps: int = STEPS, times: np.ndarray = TIMES
 ) -> Run:
     """Return the relaxation of all samples of a scene by Cundall-Strack dynamics, followed until each is proven to be
-    within a relative END of its least power, or for `steps` time steps.
+    within a relative END of its least power. The power may rise for a while, unlike with rigid contacts, since a
+    contact held by spring and damper creeps at up to mu F_n / A_t (A_t: the damping).
 
-    start : which spins to begin from: the name of an initial state, such as "random".
+    scene : the lattice with its R samples.
+    start : name of the initial spins, such as "random".
     springs : options of the dynamics; by default stiffness and damping of the paper.
-    times : (times,), times at which the powers are recorded.
-
-    With rigid contacts the power F_n sum mu |v| would fall all the time. With springs it may rise: a contact that does
-    not slip is held by spring and damper and creeps at a speed of up to mu F_n / A_t.
+    steps : most time steps.
+    times : (T,), times at which the powers are recorded.
     """
     return _followed(scene, start, springs or CundallStrack(), StopRule(END, steps), Recording(history=times))
 

@@ -22,9 +22,9 @@ TO_THE_RIGHT, TO_THE_LEFT = 1, 2  # bits: the neighbour on that side has not see
 
 
 def from_left(sideways: np.ndarray, upward: np.ndarray) -> np.ndarray:
-    """Return the least weight of a path from the outside on the left to each face: (B, w, h - 1) for B grids, of which
-    column 0 is that outside. A face is a square between four discs; a path over faces has the weight of the contacts
-    that it crosses.
+    """Return the least weight of a path from the outside on the left to each face, (B, w, h - 1) for B grids. Faces are
+    the squares between four discs, in columns from 1 on; column 0 is the outside. A path from face to face has the
+    weight of the contacts that it crosses.
 
     sideways, upward : weights of the contacts of grids with w columns and h rows of discs, (B, w - 1, h) and (B, w, h -
         1), none negative; those of the lowest and the highest row of `sideways` are not used, since they join driven

@@ -122,8 +122,7 @@ def driven_numbers(structure: Structure) -> dict[str, Any]:
     gap, ...) are followed by:
 
     slipless : list with an entry for each contact: 1 if it is slipless, else 0.
-    power_over_jump : power over F_n R times the part of the jump across the height (times the whole jump, where it has
-        no such part).
+    power_over_jump : power over F_n R |(jump_x, jump_y)|; for a jump along the height alone over F_n R |jump|.
     angle : direction of the jump, degrees from x.
     """
     scene = of_lattice(structure.scene)
@@ -181,8 +180,8 @@ def names_of_drivings(found: Mapping[str, Table]) -> dict[str, Any]:
 
     found : table of the samples of each driving, by the name of the driving.
 
-    `same`: drivings that pose the same problem as the reference. `other`: other axes of rotation. `rates`: other values
-    of C. `along`: the axes along x and along y together.
+    `same`: drivings that pose the same problem as the reference. `other`: other axes of rotation. `rates`: tops whose
+    spin A + C x changes with the place x. `along`: rotation about x and about y, in one table.
     """
     return {
         "bulk": BULK, "reference": found[REFERENCE], "seeds": found[REFERENCE].seed, "height": found[HEIGHT],
@@ -223,9 +222,9 @@ def draw_distributions(named: Any) -> Figure:
 def draw_drivings(named: Any) -> Figure:
     """Draw the figure of samples under several drivings. Dots are samples, the line is their mean.
 
-    named : the values of :func:`names_of_drivings` as attributes. Used are `reference`, `other` and `rates`: tables of
-        the same samples under the reference driving, by name under other axes of rotation, and by name with other
-        values of C. Their columns are `angle`, degrees, `overlap` and `power_over_cut`.
+    named : the values of :func:`names_of_drivings` as attributes. Used are tables of the same samples: `reference`,
+        under the reference driving; `other`, by name under other axes of rotation; `rates`, by name under tops with
+        the spin A + C x at x. Their columns are `angle`, degrees, `overlap` and `power_over_cut`.
 
     (a) Overlap of the slipless contacts with those under the reference, and (b) least power over that of the minimum
     cut, both against the direction of the difference of the imposed spins. (c) Overlap of the slipless contacts with

@@ -60,8 +60,8 @@ def settings_of(side: int, seed: int, direction: tuple[float, float, float]) -> 
     """Return the settings of one sample: a cube whose bottom is at rest and whose top is driven.
 
     side, seed : spheres along each edge, and seed of the friction.
-    direction : (a_x, a_y, c), 1/time: spins about x and y in the middle of the top, and the amount by which they change
-        over rho, the root mean square distance of the top spheres from the middle.
+    direction : (a_x, a_y, c), 1/time. The spin of the top at (x, y) from its middle is (a_x, a_y) + c (x, y) / rho,
+        with signs that alternate between neighbours; rho is the root mean square distance from the middle.
     """
     a_x, a_y, c = direction
     first, rate = offsets(side)[0] * c, np.diff(offsets(side))[0] * c  # the spacing is 1
@@ -69,9 +69,11 @@ def settings_of(side: int, seed: int, direction: tuple[float, float, float]) -> 
 
 
 def power_and_torque(settings: RunSettings) -> dict[str, Any]:
-    """Return numbers of one sample at its minimum, by name: `power` and its proven `lower_bound`, energy/time; and
-    `torque`, the list (T_x, T_y, T_c) of the torque on the top by the contact forces that prove the bound: about x,
-    about y, and the one that does work on the change c of the spins with the place (:func:`settings_of`).
+    """Return by name three results for one sample at its minimum.
+
+    power, lower_bound : least power and its proven lower bound, energy/time.
+    torque : [T_x, T_y, T_c], energy: torque on the top by the contact forces that prove the bound. Its components do
+        work on a_x, a_y and c of the driving (:func:`settings_of`).
 
     settings : settings of the sample.
     """
@@ -112,25 +114,22 @@ def study(folder: Path, effort: Effort) -> StudyResult:
 
 
 def names_of(points: np.ndarray, power: np.ndarray, torque: np.ndarray) -> dict[str, Any]:
-    """Return the values that figure and claims use, by name. Those with one number a sample are arrays by side of
-    the cube.
+    """Return the values that figure and claims use, by name. Values of single samples are arrays by side L of the cube.
 
     points : (samples n, 2) side and seed of the samples.
-    power : (n, directions) least power P, energy/time, if the top is driven in one of DIRECTIONS: (a_x, a_y, c), its
-        spins about x and about y and the rate at which its spin changes with the place.
-    torque : (n, directions, 3) torque (T_x, T_y, T_c) on the top at the minimum: its components for a_x, a_y and c.
+    power : (n, directions) least power P, energy/time, if the top is driven in each of DIRECTIONS, (a_x, a_y, c).
+    torque : (n, directions, 3) torque (T_x, T_y, T_c) on the top at each minimum: its components for a_x, a_y and c.
 
-    * `above`: largest relative excess of torque . direction over the least power in that direction, of any torque and
-      direction (0 if all torques are inside);
-    * `apart`: largest relative difference of P and torque . direction, in the torque's own direction;
-    * `crossed`: share of the yield torque about y that is left while the top rotates about x; mean with x and y
-      exchanged;
-    * `square`: P(1, 1) over P(1, 0) + P(0, 1), for spins about x and y; `circle`: the same power over the root of the
-      sum of their squares;
-    * `steps`: change of T_x if a little rotation about x is added to c, over P(c);
-    * `per_area`: P over F_n R L^2 times the length of the direction, for side L; `body`: means of P and of torques,
-      over F_n R L^2;
-    * `fading`, `squaring`: how 1 - crossed and 1 - square change with the side, fitted by A L^(2 value);
+    * `above`: largest relative excess of torque . direction over P(direction), over all torques and directions; 0 if
+      all torques lie inside the yield surface.
+    * `apart`: largest relative difference of P and torque . direction, with each torque in its own direction.
+    * `crossed`: share of the yield torque about y that is left while the top rotates about x, and with x and y
+      exchanged; the mean of both.
+    * `square`, `circle`: P(1, 1) / (P(1, 0) + P(0, 1)) and P(1, 1) / sqrt(P(1, 0)^2 + P(0, 1)^2), with c = 0.
+    * `steps`: change of T_x if a small rotation about x is added to the direction c, over P(c).
+    * `per_area`: P / (F_n R L^2 |direction|), by direction.
+    * `body`: by side, the means over samples of P and of the torques, over F_n R L^2.
+    * `fading`, `squaring`: fits of 1 - crossed and 1 - square by A L^(2 value).
     * `square_limit`, `limits_of`: limits of `square` and of `per_area` for infinite size.
     """
     at, settings = {direction: k for k, direction in enumerate(DIRECTIONS)}, RunSettings()
@@ -167,18 +166,17 @@ def names_of(points: np.ndarray, power: np.ndarray, torque: np.ndarray) -> dict[
 
 @in_our_style
 def draw_yield_surface(named: Any) -> Figure:
-    """Draw the figure of the torques that bearings of L^3 spheres withstand, averaged over samples.
+    """Draw the figure of the torques (T_x, T_y, T_c) that bearings of L^3 spheres withstand, averaged over samples.
 
-    T_x, T_y: torques on the top about x and y; T_c: the one that belongs to its bearing state C x (spins, times
-    alternating signs, that point away from the middle and grow with the distance from it).
-    * (a) Surface of (T_x, T_y), (b) of (T_x, T_c). Points: torques of the directions solved, an inner bound. Thin
-      lines: their power, an outer bound. Circle and square, to compare: radius and side are T_x of the largest L.
-    * (c) Share of the yield torque about one axis that is lost while the top rotates about the other ("crossed"), and
-      share by which the power about x + y falls short of the sum of those about x and y. (d) Power per area by 1 / L.
+    named : the values of :func:`names_of`, where they are defined, as attributes. Used are `body`, `crossed`, `square`,
+        `per_area`, and the fits `fading`, `squaring` and `limits_of`.
 
-    named : values of :func:`names_of`, by side L: `body`, mean powers (directions,) and torques (directions, 3) in
-        units of F_n R L^2; `crossed`, `square`, 1 less the shares of (c) by sample, with the fits `fading`, `squaring`;
-        `per_area`, by direction and side the power of each sample, with the fits `limits_of`.
+    (a) Yield surface in the plane (T_x, T_y), (b) in (T_x, T_c). Points are torques of the directions solved, an inner
+        bound; thin lines follow from their powers, an outer bound. The circle and the square of (a) are for comparison:
+        radius and half side are T_x of the largest L.
+    (c) 1 - crossed, the share of the yield torque about one axis that is lost while the top rotates about the other;
+        and 1 - square, the share by which the power about x + y is below the sum of those about x and about y.
+    (d) Power per area against 1 / L.
     """
     directions, plane, sides = np.array(DIRECTIONS), len(PLANE), sorted(named.body)
     figure = new_figure(DOUBLE, 5.2)
