@@ -48,8 +48,6 @@ def sometimes_slipping(
     dual : (d, n), minus the friction forces there.
     slipping : (n,) mask of contacts that slip there.
     at_limit : (n,) mask of contacts that do not slip there and yet may bear all their friction.
-
-    Letters: n contacts with up to d slip components.
     """
     found = np.zeros(len(friction), dtype=bool)
     if len(np.unique(friction)) == len(friction):
@@ -132,13 +130,11 @@ def _blocks(unknowns: int, rows: np.ndarray, columns: np.ndarray) -> list[tuple[
 
 
 def _sometimes_zero(slips: np.ndarray, rates: np.ndarray) -> np.ndarray:
-    """Return a mask (n,) of the slips that vanish at some points of the polyhedron slips + rates @ y >= 0, and not at
-    others.
+    """Return a mask (n,) of the contacts that slip at some minima and rest at others. The minima are the points of the
+    polyhedron slips + rates @ y >= 0. Motions that share no contact are treated separately.
 
     slips : (n,), slip speeds at one minimum, 0 or more.
     rates : (n, k), their changes by k motions; y (k,) says how far each motion goes.
-
-    Motions that share no contact are treated separately.
     """
     found = np.zeros(len(slips), dtype=bool)
     contact, motion = np.nonzero(rates)
@@ -150,15 +146,13 @@ def _sometimes_zero(slips: np.ndarray, rates: np.ndarray) -> np.ndarray:
 
 
 def _sometimes_zero_of_part(first: np.ndarray, rates: np.ndarray) -> np.ndarray:
-    """Return a mask (n,) of the slips that vanish at some corners of the polyhedron first + rates @ y >= 0, and not at
-    others.
+    """Return a mask (n,) of the contacts that slip at some minima and rest at others, of motions that share contacts.
+    A slip is linear in y and not negative, so its least and largest values are at corners of the polyhedron of minima.
 
-    first : (n,), slips at the minimum y = 0, which are the units of slip: 1 where a contact slips, 0 where it does not.
-    rates : (n, k), changes of the slips by k motions; y (k,) says how far each motion goes.
-
-    If there are more than MOST_CORNERS candidates for corners, the mask is True for all: motions that mix so many
-    contacts occur where friction is the same everywhere.
+    first : (n,), slips at one minimum, y = 0, each in units of itself: 1 where a contact slips there, else 0.
+    rates : (n, k), changes of these numbers by k motions.
     """
+    # So many candidates for corners occur where friction is the same everywhere.
     motions = rates.shape[1]
     if comb(len(first) + 2 * motions, motions) > MOST_CORNERS:
         return np.ones(len(first), dtype=bool)
