@@ -122,7 +122,8 @@ def answered(reached: Reached, ended: Ended, while_wanted: Callable[[], Abstract
     has_ended = moves and threshold is None and status is Status.CERTIFIED
 
     def with_states(known: np.ndarray | None) -> Solution:
-        """Return the answer with final states.
+        """Return the answer with its status and with the states of its contacts: those that `decided` chooses from the
+        proven states and from those that slips and forces show.
 
         known : (R samples, E contacts), the states that are proven, or None.
         """

@@ -399,9 +399,9 @@ class CundallStrackMethod(Swept, SpringDynamics):
         """Return True if a state that does not change may be called rest, as its gap to the best lower bound so far is
         small.
 
-        Two cases have no usable bound: packings of which none can be proven, and static friction above kinetic
-        friction, where the motion may end above the least power. There rest is believed once the driving has had the
-        time to stretch the springs until they slip.
+        There is no usable bound where none can be proven, as of some packings, and with static friction above kinetic
+        friction, as the motion may end above the least power. Then rest is believed once the driving has had the time
+        to stretch the springs until they slip; in a packing without contacts, which has no springs, at once.
 
         found : the progress now.
         """

@@ -357,7 +357,9 @@ class Course:
                 raise FileError(f"the checkpoint is incomplete or of another scene: {error}") from None
             self.target = method.iteration
             self.had_ended = self.best.keeps_best and bool(resume.get("ended", False))
-            if isinstance(method, Dynamics) != looked:  # a minimisation goes on after a look, a dynamics looks again
+            # a minimisation goes on, to the next look or to the target that it had; a dynamics that was written after
+            # a look is looked at once more, before it goes on
+            if isinstance(method, Dynamics) != looked:
                 self._aim(method.iteration)
             elif not looked:
                 self.target = int(resume["target"])
@@ -389,7 +391,7 @@ class Course:
             yield from self._launches(self.target - iteration)
             on_the_way = method.resumes and method.iteration < self.target
             if on_the_way:
-                self._write(looked=False)  # before this look, which a run that was not interrupted would not make
+                self._write(looked=False)  # ended early: resumed from here it has the bits of an undisturbed run
             # read, record and report the progress
             progress = method.progress()
             iteration = progress.iteration
@@ -425,8 +427,8 @@ class Course:
         self.findings = method.findings(progress) if isinstance(method, Dynamics) else self.best.progress.findings
 
     def _ends_again(self) -> bool:
-        """Return True, and end the run, if the best state of a checkpoint is the answer by the limits of this call,
-        too. The forces are those of the checkpoint, since some methods have other forces each time they are read.
+        """End the run and return True, if the best state of the checkpoint, which was the answer to an earlier call, is
+        the answer to this one too. Its bound follows from its own forces, as some methods have others at each reading.
         """
         best, progress = self.best, self.method.progress()
         best.bound = self.method.proven_by(best.proof)
@@ -567,9 +569,8 @@ class _Best:
 
     def has_stalled(self, iteration: int, gap: float) -> bool:
         """Return True if a minimisation has not reduced its gap by a tenth in the last four fifths of its iterations.
-        Then the precision of its numbers allows no more. (By less than that the best of ever more gaps, which rounding
-        scatters, falls for ever; a gap that falls as 1 / sqrt(iteration), as the slowest method's does, more than
-        halves.)
+        Then the precision of its numbers allows no more: the gap of the slowest method falls as 1 / sqrt(iteration), to
+        less than half in that time. Smaller falls do not count, as rounding alone brings them about again and again.
 
         A dynamics never counts as stalled, as it may take long to load its springs.
 

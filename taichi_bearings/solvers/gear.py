@@ -250,14 +250,13 @@ class Modes:
         return float(self.errors(order, time_step)[reached - 1]) if reached else 0.0
 
     def accurate_step(self, order: int, time_step: float, steps: int) -> float:
-        """Return a time step, time, whose error stays within ACCURATE_ERROR over a run as long as `steps` steps of
-        `time_step`.
+        """Return a time step, time, with which the error of a run stays within ACCURATE_ERROR: `time_step`, or the
+        largest of its halves, quarters, ... that suffices; NaN if HALVINGS halvings are not enough.
 
-        The step is halved until that holds, also for a run of up to twice the length; NaN if HALVINGS do not suffice.
+        The error is that of a run of up to twice the length, the next power of two of steps.
 
         order : order of Gear's method.
-        time_step : the step with which the search begins, time.
-        steps : length of the run in steps of this length.
+        time_step, steps : the run: its time step, time, and how many steps it has.
         """
         longest = 2.0 ** max(steps, 1).bit_length()
         for parts in 2.0 ** np.arange(HALVINGS + 1):

@@ -53,6 +53,7 @@ class GridCuts(Part):
         self.staggered = scene.staggered_spin(spin, self.spin_axes)
         self.force, self.states = np.zeros((1, *scene.coefficient.shape)), all_slipless(scene)
         self.top = self.scene.lattice.by_plane(scene.top_spin(self.spin_axes)[..., None], self.component)[0, :, 0, 0]
+        # numbers of each plane, which the class explains, before any cut is known
         planes = len(self.top)
         self.tied = np.zeros((scene.replicas, planes), dtype=np.int64)
         self.weight, self.further = np.zeros(self.tied.shape), np.full(self.tied.shape, np.inf)
@@ -170,13 +171,14 @@ def ring_cuts(sideways: np.ndarray, upward: np.ndarray) -> Iterator[tuple[slice,
         if open_.any():
             exact, place = cuts_between(ends, edges_of(weight), above, open_)
             tied, above = exact.some & ~exact.every, exact.above[place]
-        # Values of the edges of the graph go back to the contacts; those along the end rows, which are no edges, stay
-        # 0.
-        beside, rising = np.zeros(sideways.shape[1:], dtype=bool), np.zeros(upward.shape[1:], dtype=bool)
-        ring, risen = np.zeros(sideways.shape[1:]), np.zeros(upward.shape[1:])
-        for along, up, values in ((ring, risen, cut.flow * cut.unit), (beside, rising, tied)):
+        # flow and ties of the edges, on the contacts; those along the end rows, which are no edges, have 0
+        sideways_flow, upward_flow = np.zeros(sideways.shape[1:]), np.zeros(upward.shape[1:])
+        sideways_tied, upward_tied = (np.zeros(flow.shape, dtype=bool) for flow in (sideways_flow, upward_flow))
+        of_edges = (sideways_flow, upward_flow, cut.flow * cut.unit), (sideways_tied, upward_tied, tied)
+        for along, up, values in of_edges:
             inner, rest = np.split(values, [along[:, 1:-1].size])
             along[:, 1:-1], up[:] = inner.reshape(along[:, 1:-1].shape), rest.reshape(up.shape)
         next_weight = np.array(cut.weight if tied.any() else np.nan)
-        found = above[node], ring, risen, beside, rising, np.array(cut.weight), next_weight
+        flows_and_ties = sideways_flow, upward_flow, sideways_tied, upward_tied
+        found = above[node], *flows_and_ties, np.array(cut.weight), next_weight
         yield slice(grid, grid + 1), MinimumCuts(*(values[None] for values in found))

@@ -146,17 +146,15 @@ class LatticePaths(Paths):
         replica : number of the sample.
         spins : (unknowns,), free spins in units of `unit`.
         """
-        scene = self.scene
-        friction, viscosity = scene.positive_coefficient[replica, self.system.contact], None
-        strength = friction
-        beside = scene.viscosity_beside_friction
+        scene, viscosity, firm = self.scene, None, None
+        friction, beside = scene.positive_coefficient[replica, self.system.contact], scene.viscosity_beside_friction
+        strength = friction  # with viscosity, friction plus the viscous force at a slip of radius * unit
         if beside is not None:
             flow = scene.lattice.radius * self.unit / scene.normal_force * beside[replica, self.system.contact]
             strength = friction + flow
         elif self.frustrated:
             strength = weakened(self.system, friction)
-        # `firm`: mask of the contacts whose friction was reduced
-        firm, friction = (strength < friction) if beside is None else None, strength if beside is None else friction
+            firm, friction = strength < friction, strength  # firm: contacts whose friction was reduced
         unit = float(np.exp2(np.round(np.log2(np.mean(strength)))))  # dividing by it rounds nothing
         # bound of the slip of a contact that has none at the start: about the mean jump from layer to layer
         slack = 1.0 / (scene.lattice.shape[-1] - 1)
@@ -174,8 +172,9 @@ class LatticePaths(Paths):
         """Return the iteration at which to read the progress next. It does not depend on which other samples are solved
         at the same time.
 
-        Small samples are read once, when most of them have ended. Others are read at every second step, as reading
-        costs half a step at 10^3 spheres; at every step near the tolerance, if that ends the run.
+        If contact states are to be settled (`asked`), it is read at every second step, as reading costs half a step at
+        10^3 spheres; small samples are read once, when most of them have ended. If not, the run ends at the tolerance,
+        and it is read at every second step far from the tolerance, and at every step near it.
 
         iteration : the one at which it is read now.
         """

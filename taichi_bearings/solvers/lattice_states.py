@@ -102,9 +102,8 @@ class LatticeReached(Reached):
     def _of_motion(self, slip: np.ndarray) -> np.ndarray:
         """Return the sizes (R samples, E contacts) of the contact forces of a dynamics at its last moment.
 
-        Contacts with friction bear the force that the dynamics has stored; for other contacts the law gives the force
-        from the slip. Without viscosity a force is cut off at the friction limit, which it can only exceed by the
-        rounding of far stronger contacts.
+        With friction they are the forces that the dynamics has stored; without, the law gives them from the slips.
+        With friction alone a force is cut off at the limit of static friction, since more can only be rounding.
 
         slip : (R, E), slip speeds.
         """
@@ -118,8 +117,8 @@ class LatticeReached(Reached):
         return np.where(absent, 0.0, np.minimum(self.final.force[0], limit))
 
     def indicated(self, slip: np.ndarray) -> Indicated:
-        """Return the contact states that method, slips and forces indicate, with the slip speeds up to which contacts
-        count as slipless.
+        """Return the contact states before any is proven, from the method, slips and forces; the slip speed up to which
+        contacts count as slipless, of all samples and of each; and the iterations of each sample, if known.
 
         slip : (R samples, E contacts), slip speeds, length/time.
         """
@@ -180,13 +179,13 @@ def _states_and_thresholds(
     known: np.ndarray | None,
     size: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return three things: contact states (R samples, E contacts); the slip speeds (R,), length/time, up to which
-    contacts count as slipless; and one such speed for all samples.
+    """Return contact states (R samples, E contacts); the slip threshold of each sample, (R,), the speed, length/time,
+    up to which its contacts count as slipless; and one threshold for all samples.
 
-    If the user gave no threshold, it is the larger of the slip that the method can resolve and the largest slip of a
-    slipless contact; the latter alone if some slipping contact is slower than what can be resolved, as friction can
-    show that it slips. A contact that seems to slip while its friction in `size` is below its limit is then undecided,
-    unless `known` has its state.
+    Without a threshold of the user, states in `known` are taken, if it is given. With friction alone, another contact
+    is then undecided if it seems to slip but its force in `size` is below its friction limit. From these states
+    follows the threshold: the largest slip of a slipless contact, or what the method can resolve if that is larger and
+    no slipping contact is slower.
 
     scene : the lattice with its R samples.
     slip : (R, E), slip speeds, length/time.

@@ -14,8 +14,8 @@ friction of a minimum; each part of the network that the cuts leave together car
 so that forces in doubles are balanced to the rounding of what flows there.
 
 Words: the *level* of a node is the number k of its value t_k at the minimum. Nodes are the free spins, then their
-second copies (twins), then one node for each driven value. *Rim* contacts have one driven sphere. Letters: A contacts
-of the system, d tangents of a contact.
+second copies (twins), then one node for each driven value. *Rim* contacts have one driven sphere. The *upper side* of a
+cut has the nodes of the higher levels. Letters: A contacts of the system, d tangents of a contact.
 """
 
 from dataclasses import dataclass
@@ -67,10 +67,10 @@ def least_power(system: ContactSystem, packing: Packing) -> tuple[Pair, np.ndarr
     component = system.feels.argmax(axis=1)  # (A,), the coupled component; any one where none is
     # the graph whose minimum cuts give the spins, and the sign that each spin has in it
     cover, sign = _covered(system, packing, component)
-    place = _nested(cover)  # for each node, the number of its spin among the sorted driven values
+    level = _nested(cover)  # of each node, the number of its value among the sorted driven values
     force = np.zeros(len(component), dtype=object)  # whole numbers of any length
-    np.add.at(force, cover.contact, cover.sign * _filling(cover, place))
-    spins = _spins(cover, place, sign)
+    np.add.at(force, cover.contact, cover.sign * _filling(cover, level))
+    spins = _spins(cover, level, sign)
     return spins, system.across[:, np.arange(len(component)), component] * (force.astype(float) * cover.unit)
 
 
@@ -86,18 +86,19 @@ def least_spins(system: ContactSystem, packing: Packing) -> np.ndarray:
     return _spins(cover, _nested(cover), sign)[0]
 
 
-def _spins(cover: _Cover, place: np.ndarray, sign: np.ndarray) -> Pair:
-    """Return u = radius * spin (unknowns,), length/time, as sums of two doubles, for a set of nested minimum cuts.
+def _spins(cover: _Cover, level: np.ndarray, sign: np.ndarray) -> Pair:
+    """Return u = radius * spin (unknowns,), length/time, as sums of two doubles, from the values of the nodes.
 
-    A node of the graph has one of the sorted driven values. Without twins it stands for sign * u. In parts with odd
-    loops two nodes (twins) stand for u and -u; then u is half the difference of their values.
+    In a part without odd loops u is sign times the value of its node. In a part with odd loops two nodes (twins) stand
+    for u and -u; then u is half the difference of their values.
 
     cover : the graph, with the sorted driven values that nodes can have.
-    place : (nodes,), for each node the number of its value among these.
-    sign : (unknowns,), sign that alternates between neighbours, by which a value is multiplied to give u.
+    level : (nodes,), for each node the number of its value among these.
+    sign : (unknowns,), 1 or -1, alternating between neighbours; not used in parts with odd loops.
     """
+    # the value of each node; then u as with a twin, and as without
     own, twin = np.arange(len(sign)), cover.mirror[: len(sign)]
-    high, low = (part[place] if len(part) else np.zeros(len(place)) for part in cover.values)
+    high, low = (part[level] if len(part) else np.zeros(len(level)) for part in cover.values)
     half = subtract((high[own] / 2, low[own] / 2), (high[twin] / 2, low[twin] / 2))
     found = zip(half, (sign * high[own], sign * low[own]), strict=True)
     spins, rest = (np.where(twin >= 0, odd, even) for odd, even in found)
@@ -115,8 +116,8 @@ def _covered(system: ContactSystem, packing: Packing, component: np.ndarray) -> 
     packing : one sample.
     component : (A,), the spin component that each contact couples.
     """
-    # the unknowns of each contact, -1 for an end without one; for each unknown its sign or, in parts with odd loops,
-    # its second node (`mirrored`, else -1)
+    # `ends`: the unknowns that each contact joins, -1 for an end without one; `odd`: mask of the unknowns in parts with
+    # odd loops; `mirrored`: their second nodes, else -1
     count = system.unknowns
     spheres = packing.contact[system.numbers]
     feels = np.any(system.feels, axis=1)
@@ -128,11 +129,11 @@ def _covered(system: ContactSystem, packing: Packing, component: np.ndarray) -> 
     inner, rim = np.flatnonzero(both_free), np.flatnonzero(any_free & ~both_free)
     units, unit = _whole(packing, system.numbers)
     units = np.minimum(units, units[rim].sum())  # no minimum cut holds more
-    # which of them are in parts with odd loops; u of the driven sphere of each rim contact
+    # which contacts are in parts with odd loops; u of the driven sphere of each rim contact
     first, second = ends[inner].T
     free_end, driven_end = ends[rim].max(axis=1), np.where(ends[rim, 0] < 0, spheres[rim, 0], spheres[rim, 1])
     inner_odd, rim_odd, u = odd[first], odd[free_end], _imposed(system, packing, driven_end, component[rim])
-    # the value of the first node at which each rim contact has no slip; then, in odd parts, that of the second node
+    # for each rim contact the value that its free node has if it does not slip; in odd parts also that of the twin, u
     value = tuple(np.where(rim_odd, -part, -sign[free_end] * part) for part in u)
     values, level, opposite = _ordered(*(np.append(part, of[rim_odd]) + 0.0 for part, of in zip(value, u, strict=True)))
     driven = count + int(odd.sum()) + level
@@ -148,8 +149,7 @@ def _covered(system: ContactSystem, packing: Packing, component: np.ndarray) -> 
     mirror = np.append(mirrored, np.flatnonzero(odd))
     # the highest level, in parts with odd loops, whose value is not positive
     of_twins = np.append(level[: len(rim)][rim_odd], level[len(rim) :])
-    negative = of_twins[(values[0][of_twins] < 0) | (values[0][of_twins] == 0)]
-    rest = int(negative.max(initial=0))
+    rest = int(of_twins[values[0][of_twins] <= 0].max(initial=0))
     return _Cover(len(mirror), *edges, values, opposite, unit / 2, mirror, rest), sign
 
 
@@ -215,12 +215,12 @@ def _whole(packing: Packing, contact: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def _nested(cover: _Cover) -> np.ndarray:
-    """Return the level of each node at a minimum, (nodes,): the number of its value among the sorted driven values.
+    """Return the lowest level that each node has at any minimum, (nodes,): the number of its value among the sorted
+    driven values. All nodes can have their lowest levels at once.
 
-    In parts with odd loops each spin has two nodes, twins, with opposite values. A part without twins gets the minimum
-    with the lowest levels. A node with a twin gets its lowest level if that is a positive value (above `cover.rest`).
-    Else, if the highest level of its twin is a positive value, it gets the level of the opposite value. So the two
-    nodes have opposite values.
+    In parts with odd loops each spin has two nodes, twins. `_levels` finds their levels of positive values only, those
+    above `cover.rest`. Exchanging twins changes the sign of all values. So the lowest value of a node, if negative, is
+    minus the highest value of its twin.
     """
     twin, rounds = cover.mirror >= 0, list[_Round]()
     lowest = _levels(cover, np.zeros_like(twin), rounds)
@@ -238,16 +238,14 @@ _Round = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, _Arcs]
 
 
 def _levels(cover: _Cover, largest: np.ndarray, rounds: list[_Round]) -> np.ndarray:
-    """Return the level of each node, (nodes,): the number of its value among the sorted driven values, found by
-    bisection. One maximum flow halves the ranges of all nodes at once.
+    """Return the lowest level of each node at any minimum, (nodes,), or its highest level for nodes in `largest`. Nodes
+    with a twin get `cover.rest`, the highest level whose value is not positive, in place of lower levels.
 
-    Several cuts can be lightest; then the one with the smallest side of high levels is taken. The range of a node with
-    a twin (a second node of the same spin with the opposite value) begins at `cover.rest`, the highest level whose
-    value is not positive.
+    Levels are found by bisection: each round halves the range of levels of every node, by one maximum flow.
 
-    largest : (free,), mask of nodes for which the cut with the largest side of high levels is taken instead.
-    rounds : the bisections of an earlier search, whose flows are used again as long as the ranges are the same. In the
-        end it holds those of this search.
+    largest : (free,), mask of nodes of which the highest level is returned.
+    rounds : the rounds of an earlier search, whose flows are used again as long as the ranges are the same. In the end
+        it holds those of this search.
     """
     levels, count = np.arange(len(cover.opposite)), 0
     least = np.concatenate([np.where(cover.mirror >= 0, cover.rest, 0), levels])
@@ -256,7 +254,7 @@ def _levels(cover: _Cover, largest: np.ndarray, rounds: list[_Round]) -> np.ndar
     while (undecided := least < most).any():
         if count == len(rounds) or not np.array_equal(rounds[count][:2], (least, most)):
             rounds[count:] = [_halved(cover, least, most)]
-        # with the smallest upper side, or for `largest` with the smallest lower side
+        # of several lightest cuts the one with the smallest upper side, or for `largest` with the smallest lower side
         middle, upper, backwards = rounds[count][2:]
         if largest.any():
             upper = np.where(largest, ~reachable_from(len(least), *backwards), upper)
@@ -267,8 +265,7 @@ def _levels(cover: _Cover, largest: np.ndarray, rounds: list[_Round]) -> np.ndar
 
 
 def _halved(cover: _Cover, least: np.ndarray, most: np.ndarray) -> _Round:
-    """Halve the ranges of levels of all nodes by one maximum flow. The level of a node is the number of its value among
-    the sorted driven values.
+    """Find out by one maximum flow in which half of its range of levels each node is at a minimum.
 
     cover : the graph that is cut.
     least, most : (nodes,), lowest and highest level that each node may have.
@@ -278,8 +275,8 @@ def _halved(cover: _Cover, least: np.ndarray, most: np.ndarray) -> _Round:
     1. and 2. `least` and `most` as they were given;
     3. (nodes,), the level at which the upper half of each range begins;
     4. (nodes,), mask of the nodes in the upper half, by the minimum cut with the smallest upper side;
-    5. arcs (from, to) and nodes to start at: what is reached from these is the smallest lower side of a minimum cut.
-       They are the residual arcs of the flow, reversed, and the nodes whose arc to the sink is not filled.
+    5. three arrays (arcs from, arcs to, nodes to start at). What arcs lead to from the start is the smallest lower side
+       of a minimum cut.
     """
     middle, (low, high), undecided = (least + most + 1) // 2, (cover.low, cover.high), least < most
     # the edges whose two nodes have the same range
@@ -292,28 +289,27 @@ def _halved(cover: _Cover, least: np.ndarray, most: np.ndarray) -> _Round:
         np.add.at(sink, own, cover.weight * (~above & ~together & undecided[own]))
     ends, weight = np.stack([low[together], high[together]]), cover.weight[together]
     inner, into, out = exact_flow(ends, weight, source, sink)
-    # arcs of the residual graph, along which more could flow
+    # residual arcs, along which more could flow, lead from the source to the smallest upper side; reversed, they lead
+    # from the nodes whose arc to the sink is not filled to the smallest lower side
     is_left = np.concatenate([weight - inner, weight + inner]) > 0
     tail, head = np.concatenate([ends, ends[::-1]], axis=1)[:, is_left]
     upper = reachable_from(len(least), tail, head, np.flatnonzero(source > into))
     return least, most, middle, upper, (head, tail, np.flatnonzero(sink > out))
 
 
-def _filling(cover: _Cover, place: np.ndarray) -> np.ndarray:
-    """Return a flow along the edges, (edges,), from low to high, that is balanced at all free nodes and saturates the
-    minimum cuts.
+def _filling(cover: _Cover, level: np.ndarray) -> np.ndarray:
+    """Return a flow along the edges, (edges,), from low to high, in whole numbers of `cover.unit`. It is balanced at
+    all free nodes, and fills all edges between nodes of different levels, which are the edges of the minimum cuts.
 
-    The cuts are nested: there is one between each two neighbouring driven values, and its edges join nodes on both
-    sides. The flow is a whole number of `cover.unit` for each edge.
-
-    place : (nodes,), the number of each node's value among the sorted driven values.
+    level : (nodes,), the number of each node's value among the sorted driven values.
     """
-    # edges between different levels are saturated; a maximum flow within each level balances what they bring
-    fall = np.sign(place[cover.low] - place[cover.high])
+    # edges between different levels carry their whole weight, down from the higher level
+    fall = np.sign(level[cover.low] - level[cover.high])
     flow, is_flat = fall * cover.weight, fall == 0
-    surplus = np.zeros(len(place), dtype=object)  # what flows into each node, and has to flow out again
+    surplus = np.zeros(len(level), dtype=object)  # what they bring to each node, and has to flow out again
     np.add.at(surplus, cover.low, -flow)
     np.add.at(surplus, cover.high, flow)
+    # the other edges join nodes of one level into parts, through which a maximum flow leads what was brought
     low, high = cover.low[is_flat], cover.high[is_flat]
     within = high < cover.free
     part = pieces(cover.free, low[within], high[within])

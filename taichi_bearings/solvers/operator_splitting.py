@@ -280,8 +280,8 @@ class OperatorSplittingMethod(Method):
         return [see(name) for name in names]
 
     def _change_stiffness(self, change: np.ndarray) -> None:
-        """Multiply the stiffness rho of each sample by a factor, in place. Spins Omega and friction f stay, so that rho
-        Omega and the rest v - f of the trial forces are multiplied.
+        """Multiply the stiffness rho of each sample by a factor, in place. The spins Omega and the friction f, which is
+        the trial force v cut off, stay the same. So two things get the factor: the potential rho Omega, and v - f.
 
         f keeps its bits, so that a contact that sticks goes on to stick.
 

@@ -32,7 +32,7 @@ class PackingBounds:
     """
 
     def __init__(self, packing: Packing) -> None:
-        """Build the contact system of a packing and its Newton matrix, and begin with the bound 0."""
+        """Build the contact system of a packing and its Newton matrix. Begin with the bound 0, proven by spins 0."""
         self.packing, self.acting, self.system = packing, packing.acting, ContactSystem.of(packing)
         self.matrix = NewtonMatrix(self.system, order_by_place(self.system))
         self.of_system = np.searchsorted(self.acting, self.system.numbers)

@@ -133,10 +133,9 @@ class PackingPaths(Paths):
         held, viscosity = (none if values is None else values for values in given)
         if not held.any():
             return None
-        speed = self.fastest
-        fastest = float(np.abs(self.contacts.system.offset).max())
-        force = float(np.exp2(np.round(np.log2(max(held.max(), viscosity.max() * fastest)))))
-        return Strengths(held / force, viscosity * speed / force, force)
+        largest = max(held.max(), viscosity.max() * float(np.abs(self.contacts.system.offset).max()))
+        force = float(np.exp2(np.round(np.log2(largest))))
+        return Strengths(held / force, viscosity * self.fastest / force, force)
 
     def next_check(self, iteration: int) -> int:
         """Return the iteration at which to read the progress next: after the next step, or for small samples, which are
@@ -290,14 +289,14 @@ def _in_units_of_packing(
     spins: tuple[np.ndarray, np.ndarray | None], dual: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]:  # fmt: skip
     """Return spins and forces on a path in the units of the packing, without the signs by which neighbours differ on
-    the path: u (unknowns,), length/time; what u lacks to be known in twice the precision, or None; and the forces (d
-    tangents, A contacts of the packing).
+    the path: u = radius * spin (unknowns,), length/time, as a sum of two doubles, the second of which may be None; and
+    the forces (d tangents, A contacts of the packing).
 
     system : the contacts of the packing.
-    path : the sample on its path, which says which contacts and signs the path has, and its unit of force.
-    strengths : the unit of force of these units.
-    fastest : unit of the products of spin and radius on the path, length/time.
-    spins : (unknowns,) each, of the path: spins, and what they lack to be known in twice the precision, or None.
+    path : the sample on its path, with the n contacts, their signs, and a unit of forces, in units of `force_unit`.
+    strengths : the sample's friction and viscosity, of which the unit of force, `force_unit`, is used.
+    fastest : unit of u on the path, length/time.
+    spins : u on the path, two arrays (unknowns,) whose sum it is, or one and None.
     dual : (components, n), minus the forces on the n contacts of the path.
     """
     contacts = path.iterate.system

@@ -200,10 +200,11 @@ def forces_of(system: ContactSystem, force: np.ndarray) -> tuple[np.ndarray, np.
 def _states(system: ContactSystem, packing: Packing, found: Found, slip: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Return the contact states (E contacts,) that slips and friction margins show.
 
-    By slip and force alone, a contact slips if it is fast and its force is at the friction limit, is slipless if
-    neither is so, and is undecided otherwise. If the method has settled the states, these are taken, where slip or
-    relative margin (1 - force over friction limit) is clearly not 0 (SURE_SLIP, SURE_MARGIN). Contacts whose slip is
-    not the same at all minima are undecided.
+    * Without friction, a contact slips if its slip is more than rounding.
+    * If the method has not settled the states, a contact slips if it is fast and its force is at the friction limit, is
+      slipless if neither is so, and is undecided otherwise.
+    * Settled states are taken where slip (above SURE_SLIP) or relative margin, 1 - force over friction limit (above
+      SURE_MARGIN), confirms them. Others are undecided, and contacts whose slip is not the same at all minima.
 
     system : the contacts that take part.
     packing : one sample.

@@ -17,15 +17,15 @@ SAME_TIME = 1e-9  # relative distance below which two simulated times are the sa
 
 
 class Times(Protocol):
-    """The settings of a run that say at which simulated times it is recorded, as texts; None for no times."""
+    """The settings of a run that say at which simulated times it is recorded, as texts that `parse_times` reads."""
 
     @property
     def record(self) -> str | None:
-        """Times of the rows of the history."""
+        """Text of the times at which the history gets a row, such as "0.1,0.2"; None for no times."""
 
     @property
     def snapshots(self) -> str | None:
-        """Times at which all spins are kept."""
+        """Text of the times at which all spins are recorded, such as "0.1,0.2"; None for no times."""
 
 
 @dataclass(frozen=True)

@@ -58,25 +58,24 @@ Task = Callable[[], "Sums"]
 
 
 class Look:
-    """An iterate of operator splitting, whose forces, power and lower bound are to be computed. Its springs and trial
-    forces are those of :class:`Looked`. Shapes: R samples, E contacts, C spin components, V force components of a site.
+    """Computes forces, power and lower bound of one iterate of operator splitting. :class:`Looked` explains its springs
+    and trial forces, the head of the file the letters of shapes.
 
-    friction, balanced, capped : (C, R, E), the trial forces, each cut off at its friction limit; the forces of the
-        springs; and these forces, each cut off at its friction limit. `look` fills in the components that make contacts
-        slip; the others are 0.
+    friction : (C, R, E), the trial forces, each cut off at its friction limit.
+    balanced, capped : (C, R, E), the forces of the springs as they are, and each cut off at its friction limit.
     """
 
     def __init__(
         self, scene: Scene, stencil: Stencil, layout: Layout, spin_axes: tuple[int, ...], staggered: np.ndarray,
         trial: np.ndarray, springs: tuple[np.ndarray, tuple[float, ...]],
     ) -> None:  # fmt: skip
-        """Take an iterate.
+        """Store the iterate, and allocate its forces. Components of forces that make no contact slip are 0.
 
         scene : R samples of a lattice with friction.
         stencil, layout : which components make contacts slip, and where the forces of contacts stand in `trial`.
         spin_axes : axes of the C spin components.
         staggered : (C, R, *N spheres), the spins of the iterate, with signs that alternate between neighbours, 1/time.
-        trial : (V, R, *N), the trial force of each contact, at its lower sphere.
+        trial : (V, R, *N), the trial force of each contact, at its lower sphere, with V components at each site.
         springs : stiffness (R,) of the springs sideways, force * time; and for each axis the stiffness of its springs
             divided by that.
         """
@@ -95,13 +94,10 @@ class Look:
         self._length = _length if is_usual else _safe_length
 
     def look(self, share: Share) -> Looked:
-        """Return, as a :class:`Looked`: friction and spring forces (C components, R samples, E contacts) of the
-        iterate; the power of its spins, the work of the driven planes against the spring forces, and the lower bound on
-        the least power that these forces prove, (R,) each, energy/time; the fastest slip, length/time, of all contacts
-        whose trial force is within their friction limit; and the largest torque that the friction leaves over, (R,).
+        """Return what the iterate is worth: forces, power and bound, which :class:`Looked` explains.
 
-        The bound is proven by the spring forces, each cut off at its friction limit, or all scaled down by the largest
-        ratio of a force to its limit (`worst`), whichever proves more.
+        The spring forces prove the bound in one of two forms, whichever proves more: each cut off at its friction
+        limit, or all scaled down by the largest ratio of a force to its limit (`worst`).
 
         share : a function like `map`, which may share the calls among threads.
         """
@@ -134,7 +130,7 @@ class Look:
         limit = lattice.by_axis(self.scene.acting_coefficient)[axis], lattice.by_axis(self.scene.inverse_limit)[axis]
 
         def task(part: Part) -> Task:
-            """Return the function that looks at one piece.
+            """Return the function that computes and writes the forces of one piece, and returns its sums.
 
             part : slices of the samples and of the first axis of the lattice, which cut the piece out of arrays.
             """
@@ -151,17 +147,18 @@ class Look:
         self, samples: slice, weight: float, spins: list[list[np.ndarray]], trial: list[np.ndarray],
         found: list[list[np.ndarray]], limit: tuple[np.ndarray, np.ndarray],
     ) -> Sums:  # fmt: skip
-        """Compute forces of some contacts along one axis, write them into `found`, and return the sums of `Sums`.
+        """Write the forces of a piece, some contacts along one axis of r of the R samples; return its sums.
 
-        Arrays have the shape (r, n, ...) of the piece, for r of the R samples. Lists have an array for each component
-        that makes these contacts slip.
+        Arrays have the shape (r, n, ...) of the piece. Lists have an array for each component that makes these contacts
+        slip.
 
-        samples : slice of those of the R samples that the piece is of.
+        samples : slice, the r samples that the piece is of.
         weight : factor by which the springs along this axis are stiffer than `stiffness`.
         spins : two lists, the spin components of the lower and of the upper spheres, 1/time.
-        trial : components of the trial forces, those of the method before they are cut off at the friction limits.
-        found : three lists of arrays that are written: friction, the trial forces cut off; the forces of the springs,
-            weight * stiffness * (upper less lower spin) - trial + 2 * friction; and these forces cut off.
+        trial : components of the trial forces.
+        found : three lists of arrays that are written: `friction`, the trial forces cut off at the friction limits;
+            `balanced`, the forces of the springs; and `capped`, these cut off. A spring has the force
+            weight * stiffness * (upper less lower spin) - trial + 2 * friction.
         limit : two arrays: coefficients, and one over the friction limits; both 0 for contacts that take no part.
         """
         scene, (friction, balanced, capped), (coefficient, inverse_limit) = self.scene, found, limit

@@ -32,12 +32,13 @@ class TorqueBalance:
     """Solves the Poisson problem of an iteration, and adds its solution u to the field `potential`.
 
     The problem is: sum over axes a of weight_a (-Laplace_a) u = `pull`, with u = 0 on the driven planes. A spin
-    component is coupled along the height and one other axis only. A sine transform along the height separates the
-    *modes*, one for each sine. The equations of a mode are those of a *chain* of spheres along the other axis (a ring
-    if that is periodic): tridiagonal, and solved by elimination, with factors that are computed once. On a GPU the
-    solve is one launch of a kernel. On a CPU the BLAS library multiplies by the sines. A sine is even or odd under
-    reflection of the height: even sines act on sums of two spheres equally far from bottom and top, odd ones on
-    differences. Columns of large lattices are *folded* into these sums and differences, which halves the products.
+    component is coupled along the height and one other axis only. So a sine transform of each *column* (the spheres
+    along the height) separates the *modes*, one for each sine. The equations of a mode are those of a *chain* of
+    spheres along the other axis, a ring if that is periodic. They are tridiagonal, and solved by elimination.
+
+    On a GPU one launch of a kernel does it all. On a CPU the BLAS library multiplies by the sines, which are even or
+    odd under reflection of the height. Columns of large lattices are *folded* there into two *half columns*, which
+    halves the products: sums of two spheres equally far from bottom and top for even sines, differences for odd ones.
 
     fields : the fields of the method.
     kernels : the kernels of the solve.
@@ -49,15 +50,14 @@ class TorqueBalance:
         each sphere (driven ones have 0) and a column for each sine: one matrix, (1, nz, nz); or, for folded columns,
         one of the even and one of the odd sines for the lower half of a column, padded by 0 to whole blocks.
     inverse : on a CPU the matrices of the inverse transform.
-    column : numbers of a column, or half column, in `modes`; on a CPU whole blocks.
+    column : how many numbers `modes` has for a column or, if folded, half column; on a CPU whole blocks of numbers.
     chains : flat, inverse pivots by which the chains, one for each mode, are solved.
-    modes, folded : flat, the transformed field, where solutions replace pulls; and the field with its columns folded
-        into half columns of sums and of differences.
+    modes, folded : flat, the transformed field, where solutions replace pulls; and the half columns of the field.
     measures : whole numbers by which kernels find spheres: length of a row in memory, strides and the like.
     workers : number of threads that share the columns (of spheres along the height); 0 on a GPU.
     each : function like `map` that shares its calls among these threads.
-    given, found : for each thread a list of some columns of the pulls, or of the potentials, with the same columns of
-        `modes`. Where columns are folded, both pulls and solutions are in `folded`.
+    given, found : the `Pieces` of each thread, with columns of the pulls, or of the potentials. Where columns are
+        folded, both have half columns of `folded`.
     is_rough : True if the products are less precise than the fields.
     is_small : True if a column is so short that the BLAS library would use no threads of its own.
     """
@@ -65,9 +65,8 @@ class TorqueBalance:
     def __init__(
         self, spec: FieldSpec, stencil: Stencil, weights: tuple[float, ...], fields: Fields, folds: bool = False
     ) -> None:
-        """Prepare the solution: the sines of the transform along the height, and the factors `chains` of the
-        tridiagonal equations along the other axis, one chain of spheres for each sine (a *mode*). On a CPU share the
-        columns of the lattice among threads. The class says what each attribute is.
+        """Compute the sines of the transform along the height, and the factors by which the chains of spheres along the
+        other axis are solved; on a CPU share the columns among threads, and compile the kernels.
 
         spec : pairs (name of a field, number of its components).
         stencil : spin components, dimension and periodic axes of the lattice.
@@ -82,10 +81,10 @@ class TorqueBalance:
         self.workers = team_size(layout, stencil.components)
         self.folds = folds and not on_gpu
         self.kernels = made_once(BalanceKernels, spec, stencil, self.folds, (fields.dtype.name, self.products.name))
-        # modes and eigenvalues of the chain of free spheres along the height, and where modes stand in a row
+        # sines and eigenvalues of the free spheres of a column; half column of each mode, and its place there
         modes, held = chain_modes(height - 2, is_held=True), weights[-1] * chain_eigenvalues(height - 2, is_held=True)
         number, self.column = np.arange(height - 2), -(-height // layout.block) * layout.block
-        place = np.zeros_like(number), number + 1  # which half column a mode is in, and where
+        place = np.zeros_like(number), number + 1
         if on_gpu:
             self.sines: Any = on_device(modes)
         elif self.folds:
@@ -125,13 +124,14 @@ class TorqueBalance:
                 self._unfold(0)
 
     def _halves(self, modes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the matrices of the even and the odd sines for the lower half of a column, and those of the inverse
-        transform: two arrays (2, n, n), filled up by 0 to n numbers, whole blocks. A sphere in the middle counts half
-        in the first ones, as folding adds it to itself.
+        """Return the matrices that transform half columns, and those of the inverse transform, (2, n, n) each: for the
+        even sines, then for the odd ones.
+
+        A matrix of the transform has a row for each sphere of the lower half, the driven one first, a column for each
+        sine, and 0 beyond, up to n, whole blocks. The row of a sphere in the middle is halved, as folding doubles it.
 
         modes : (nz - 2, nz - 2), the sines, one in each column, at the free spheres.
         """
-        # rows are the spheres of the lower half, the driven one first; columns are the even or the odd sines
         height, block = len(modes) + 2, self.fields.layout.block
         middle = (height - 1) // 2  # the last sphere that is not above its mirror image
         found = np.zeros((2, *(-(-(middle + 1) // block) * block,) * 2))
@@ -144,14 +144,13 @@ class TorqueBalance:
         return found.astype(self.products), inverse
 
     def _factors(self, sides: list[int], held: tuple[np.ndarray, ...], stencil: Stencil) -> np.ndarray:
-        """Return the numbers by which the chains are solved, (1, C, 1, longest side, numbers of a column): inverse
-        pivots by spin component, half of the column (2 of them where columns are folded), sphere of a chain, and place
-        in a column of modes; 0 where there is no mode. With periodic axes as many numbers that close rings follow, so
-        that the shape is (2, C, ...).
+        """Return the factors by which the chains are solved, (kinds, C, halves, longest side, numbers of a column).
 
-        sides : spheres of a chain of each spin component.
-        held : (nz - 2,) each, the half column of each mode, its place there, and the stiffness by which it holds its
-            chain.
+        The kinds are inverse pivots and, with periodic axes, numbers that close rings. There are 2 halves if columns
+        are folded, else 1. The last two axes are the sphere of a chain and the place of a mode in a (half) column.
+
+        sides : number of spheres of a chain, for each spin component.
+        held : of each mode, (nz - 2,), its half column, its place there, and the stiffness by which it holds its chain.
         stencil : spin components and periodic axes of the lattice.
         """
         numbers = (chain_factors, ring_closures)[: 2 if stencil.periodic else 1]
@@ -172,10 +171,10 @@ class TorqueBalance:
     def solve(self) -> None:
         """Change the spins of the free spheres so that the springs balance.
 
-        On a CPU the sine transform of some columns is two products of the BLAS library, in which each column is a row.
-        So the result for a column does not depend on what else is solved, nor on how many threads share the columns.
-        The products are in single precision, which is twice as fast. That suffices, because the solution is only a
-        change of the spins, small in the end, and the next iteration makes up for the rounding.
+        On a CPU the sine transforms are products of matrices, in which each column of spheres is a row of its own. So
+        its result does not depend on what else is solved, nor on how many threads share the columns. The products are
+        in single precision, which is twice as fast. That suffices, because the solution is only a change of the spins,
+        small in the end, and the next iteration makes up for the rounding.
         """
         if self.workers == 0:
             layout, values = self.fields.layout, self.fields.values
@@ -199,7 +198,7 @@ class TorqueBalance:
         return layout.length, layout.margin, *self.measures[:-1], self.column
 
     def _fold(self, workers: int) -> None:
-        """Write the pulls into `folded`, column by column.
+        """Write the half columns of the pulls into `folded`: sums and differences of spheres that mirror each other.
 
         workers : number of threads; 0 to compile the kernel without any work.
         """
@@ -207,7 +206,7 @@ class TorqueBalance:
         self.kernels.fold(workers, self.fields.values, self.folded, blocks, *self._places)
 
     def _unfold(self, workers: int) -> None:
-        """Add the solution, given by `folded` columns, to the potentials.
+        """Add the solution, of which `folded` has the half columns, to the potentials of the spheres.
 
         workers : number of threads; 0 to compile the kernel without any work.
         """
@@ -218,6 +217,7 @@ class TorqueBalance:
 
         workers : number of threads; 0 to compile the kernel without any work.
         """
+        # numbers and distances of spheres, as they are in `modes`: `column` numbers for the nz spheres of a column
         layout, (*lengths, longest) = self.fields.layout, self.measures
         lengths = [length // layout.shape[-1] * self.column for length in lengths]
         if len(layout.shape) == 2:
@@ -226,12 +226,12 @@ class TorqueBalance:
         self.kernels.chains_on_cpu(workers, *modes, self.chains, *lengths, longest, self.weight)
 
     def _shares(self, fields: list[np.ndarray], sides: list[int]) -> list[Pieces]:
-        """Divide the columns among the threads, and return a list for each thread. The columns that stand together in
-        it are those of some whole planes, so few that they fit into the cache.
+        """Return for each thread its pieces: columns of the fields, with the same columns of the modes. A piece has the
+        columns of some whole planes, so few that they fit into the cache.
 
-        fields : of each spin component (and half, where columns are folded) the columns, an array whose last axis is
-            the height.
-        sides : of each of these arrays the number of columns in a plane.
+        fields : the columns of each spin component, an array whose last axis is the height; if folded, two arrays for
+            each component, its two kinds of half columns.
+        sides : number of columns in a plane, for each of these arrays.
         """
         shares: list[Pieces] = [[] for _ in range(self.workers)]
         of_modes = self.modes.reshape(len(fields), -1, self.column)[..., : len(self.sines[0])]
