@@ -227,7 +227,7 @@ def _solved(samples: Sequence[_Sample], asked: _Asked) -> list[Solution]:
                 found = [course.answer(threshold) for course in courses]
             keep()
     running = runtime.current() if options.needs_taichi else runtime.HOST
-    if options.cpu_only:  # whose numbers are doubles, whatever those of fields are
+    if options.cpu_only:  # such methods compute in doubles, whatever the precision of the runtime
         running = replace(running, precision="f64")
     share, heard, compiling = len(found), interrupt.heard, courses[0].called - began
     return [
@@ -415,7 +415,7 @@ class Course:
             self._aim(iteration)
 
     def _end(self, status: Status, progress: Progress, elapsed: float) -> None:
-        """Set what is said of the end of the run, and record its last state.
+        """Record the last state in the history, and set the attributes `status`, `last`, `seconds` and `findings`.
 
         status : how it ended.
         progress : the last state.
@@ -444,7 +444,7 @@ class Course:
         """Yield numbers of iterations that add up to `steps`, each about half a second of work; end early where the
         time is over.
         """
-        runtime.refuse_changed()  # a monitor may have done so
+        runtime.refuse_changed()  # raises an error if a monitor has started another runtime
         while steps > 0 and not self.is_ended():
             now = min(self.launch, steps)
             began = time.perf_counter()
