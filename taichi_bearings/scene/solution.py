@@ -26,8 +26,8 @@ CROSSED_BOUND = 1e-11  # rounding may put a lower bound above the power by this,
 def is_crossed(value: float | None, bound: float | None, gap: float | None) -> bool:
     """Return True if a lower bound lies above the value that it should bound, by more than rounding can explain.
 
-    value, bound : energy/time.
-    gap : (value - bound) / value, which is negative in that case. Each may be None or not-a-number if it is unknown.
+    value, bound : energy/time; None or not-a-number if unknown, as for `gap`.
+    gap : (value - bound) / value, which is negative if the bound lies above the value.
     """
     above = value is not None and bound is not None and value > 0 and bound > value * (1 + CROSSED_BOUND)
     return above or (gap is not None and gap < -CROSSED_BOUND)
@@ -41,8 +41,8 @@ class Status(Enum):
     STATIONARY = "stationary"  # a dynamics has come to rest: power, slips and torques no longer change
     FINISHED = "finished"  # a dynamics has gone on for the simulated time that was asked for
     STALLED = "stalled"  # the method can get no closer in this precision
-    STEP_LIMIT = "step-limit"  # the largest number of iterations was reached before that
-    TIME_LIMIT = "time-limit"  # the largest wall time was reached before that
+    STEP_LIMIT = "step-limit"  # the largest number of iterations was reached before any of these
+    TIME_LIMIT = "time-limit"  # the largest wall time was reached before any of these
     INTERRUPTED = "interrupted"  # by Ctrl-C or SIGTERM
     NOT_FINITE = "not-finite"  # some numbers have become infinite or not-a-number
 
@@ -59,7 +59,7 @@ class ContactState(IntEnum):
     SLIPPING = 1  # it slips at every minimum
     UNDECIDED = 2  # slip and friction disagree, and nothing is proven
     DRIVEN = 3  # between two driven spheres, or absent: it takes no part
-    TIED = 4  # it slips at some minima and rests at others; only what is proven is called so
+    TIED = 4  # it slips at some minima and rests at others; in a Solution this is proven
 
 
 SLIPLESS, SLIPPING, UNDECIDED, DRIVEN, TIED = ContactState
@@ -445,7 +445,7 @@ class Solution:
             return replace(one, **ended)
 
         def placed(whole: np.ndarray, value: object) -> np.ndarray:
-            """Return a copy of `whole`, (R samples, ...), with `value` as the entry of this replica."""
+            """Return a copy of `whole`, (R samples, ...), with `value` as the entry of sample `number`."""
             changed = np.array(whole)
             changed[number] = value
             return changed
