@@ -54,7 +54,8 @@ class Law:
     name : name that users write in the option `law`.
     quantities : the one or two coefficients of the law. Users give the first as `coefficient`, the second as
         `viscosity`.
-    minimises : "power" or "potential", of which lower bounds and gaps are: the objective.
+    minimises : the objective, which a stationary state minimises: "power", or "potential" where the power is no
+        multiple of it. Lower bounds and gaps are of the objective.
     share : the objective divided by the potential.
     """
 
@@ -190,8 +191,7 @@ class Law:
         """Return the force or the power of each contact, (..., E contacts): a sum over the coefficients of the law, in
         which a friction coefficient is multiplied by `friction` and a viscosity by `viscous`.
 
-        coefficients : the coefficients of the law, a tuple of arrays (..., E): for Coulomb friction with viscosity, the
-            friction coefficient and the viscosity.
+        coefficients : in the order of `quantities`, a tuple of arrays (..., E); friction as a force.
         friction, viscous : (..., E), functions of the slip of each contact, already evaluated: for the force 1 and the
             slip, for the power the slip and its square.
         """
@@ -233,7 +233,7 @@ def check_law(law: Law, coefficients: Coefficients, fastest: float) -> None:
     _check_objective(law)
     at, speed = _tried(coefficients, fastest)
     with np.errstate(all="ignore"):
-        # potential + conjugate less f v: `missed` for the force of each slip, `pairs` for forces of other slips
+        # potential + conjugate less f v: `missed` for the force of each slip, `pairs` for forces of three other slips
         force, power, potential = (function(at, speed) for function in (law.force, law.power, law.potential))
         dual = law.conjugate(at, force)
         work = force * speed
@@ -273,10 +273,12 @@ def check_law(law: Law, coefficients: Coefficients, fastest: float) -> None:
 
 
 def _tried(coefficients: Coefficients, fastest: float) -> tuple[Coefficients, np.ndarray]:
-    """Return coefficients and slips of S slips at each of E contacts: a tuple of arrays (S, E), and an array (S, E).
+    """Return the coefficients and the slips at which a law is tried, for S slips at each of E contacts: a tuple of
+    arrays (S, E), and an array (S, E).
 
-    coefficients : those of all contacts, a tuple of arrays; contacts are taken of which all coefficients are positive.
-    fastest : the slips are 0, and 1e-9 to 1e3 times this speed.
+    coefficients : coefficients of all contacts, a tuple of arrays. At most CONTACTS_TRIED contacts are picked, of those
+        whose coefficients are all positive.
+    fastest : length/time. The slips are 0, and 1e-9 to 1e3 times this speed.
     """
     acting = np.flatnonzero(np.all([values.ravel() > 0 for values in coefficients], axis=0))
     some = acting[np.unique(np.linspace(0, len(acting) - 1, min(len(acting), CONTACTS_TRIED)).astype(int))]
@@ -321,12 +323,12 @@ def _check_absent(law: Law, fastest: float) -> None:
 
 
 def _wrong_beyond(law: Law, coefficients: Coefficients, slip: np.ndarray) -> dict[str, np.ndarray]:
-    """Return two masks (S, E), by the sentence that is wrong where they are True. The sentences are conditions on the
-    conjugate of a law for forces beyond the largest F(v), which forces in balance exceed by rounding at least.
+    """Return where the conjugate of a law violates a condition: two masks (S, E), by the sentence of the condition. It
+    is tried for forces beyond the largest F(v), as forces in balance may be so large, if only by rounding.
 
     law : the law, defined by a user.
     coefficients : its coefficients, a tuple of arrays (S, E).
-    slip : (S, E), for S slips, of which the last is the largest.
+    slip : (S, E), for S slips at each of E contacts, of which the last is the largest.
     """
     largest, potential = law.force(coefficients, slip)[-1], law.potential(coefficients, slip)
     is_no_number, is_less = np.zeros(slip.shape, dtype=bool), np.zeros(slip.shape, dtype=bool)
