@@ -191,18 +191,19 @@ class _Heap:
 
 
 class _Pairs:
-    """A sphere at 0 and n neighbours in D dimensions. It serves to find places where a further sphere touches the one
-    at 0 and D - 1 of the neighbours: one in two dimensions, two in three. What depends only on the directions of the
-    neighbours is computed once, for further spheres of either size.
+    """Geometry of a sphere at 0 and n neighbours in D dimensions, from which follow the places where a new sphere of
+    either size touches the one at 0 and D - 1 of the neighbours.
 
-    vector : (n, D), centres of the neighbours. Lengths are in radii of the small spheres.
-    others : (choices, D - 1), numbers of the neighbours that the new sphere is to touch: each one, or each pair.
+    vector, size, unit : (n, D), (n,) and (n, D), centres of the neighbours, their distances from 0 and directions.
+    others : (choices, D - 1), numbers of the neighbours that the new sphere is to touch: each one, or in 3D each pair.
+    cosine, sine : (pairs,) in 3D, of the angle between both neighbours of a pair; a sine of 0 is stored as infinite.
+    flat : (pairs,) mask in 3D, True for pairs that are too nearly in line with 0.
     """
 
     def __init__(self, vector: np.ndarray) -> None:
-        """Take the centres of the neighbours, and compare their directions.
+        """Compute what does not depend on the size of the new sphere.
 
-        vector : (n neighbours, D dimensions), centres.
+        vector : (n neighbours, D dimensions), centres of the neighbours, in radii of the small spheres.
         """
         self.vector, self.size = vector, np.linalg.norm(vector, axis=1)
         self.unit = vector / self.size[:, None]
@@ -211,7 +212,7 @@ class _Pairs:
             one, two = self.others.T
             self.cosine = (self.unit[one] * self.unit[two]).sum(axis=1)
             self.sine = np.sqrt(np.maximum(1 - self.cosine**2, 0.0))
-            self.sine[self.sine == 0] = np.inf  # in line with the first
+            self.sine[self.sine == 0] = np.inf
             self.flat = np.isinf(self.sine) | (self.sine**2 < FLATTEST)
         else:
             self.others = np.arange(len(vector))[:, None]

@@ -35,8 +35,8 @@ def built(m: int, n: int, least_radius: float, periods: int) -> tuple[np.ndarray
     line, 1 for those on the upper one, -1 for others. Heights are from 0 to 1, x is periodic, and large discs come
     first.
 
-    m, n : numbers that pick a bearing of the family: m + 3 discs touch the upper line and the same large disc, n + 3
-        the lower line and another one.
+    m, n : numbers that pick a bearing of the family: m + 3 discs touch the upper line and the large disc D, n + 3 the
+        lower line and the large disc C (head of this file).
     least_radius : radius of the smallest discs that are kept, in heights of the strip.
     periods : number of periods along x.
 
@@ -66,20 +66,21 @@ def built(m: int, n: int, least_radius: float, periods: int) -> tuple[np.ndarray
 
 def _half_period(m: int, n: int, least: float) -> tuple[np.ndarray, float]:
     """Return the discs of the strip with centres in half a period, x = 0 to a, as (spheres N, 4): x, y, radius, and
-    sense of turning, +1 or -1; and the length a.
+    sense of turning, +1 or -1; and the length a. The head of this file has the formulas.
 
     m, n : numbers of the family.
     least : radius of the smallest discs that are kept.
     """
-    share_m, share_n = (cos(pi / (count + 3)) ** 2 for count in (m, n))
-    square = 1 / (1 / share_m + 1 / share_n - 1)
-    a, c, d = sqrt(square), square / (2 * share_m), square / (2 * share_n)
+    z_m, z_n = (cos(pi / (count + 3)) ** 2 for count in (m, n))
+    square = 1 / (1 / z_m + 1 / z_n - 1)
+    a, c, d = sqrt(square), square / (2 * z_m), square / (2 * z_n)  # half a period, radii of the discs C and D
     # the circles, and the first discs: C, D, and the images of the lower line in I and of the upper line in J
     circles = ((c / a, 1.0, c / a), (a - d / a, 0.0, d / a))  # I and J: centre and radius
     of_lower, of_upper = c * c / square / 2, d * d / square / 2  # radii of the images of the lines in I and J
     seed = [(0.0, 1 - c, c, 1.0), (a, d, d, -1.0)]
     seed += [(c / a, 1 - of_lower, of_lower, 1.0), (a - d / a, of_upper, of_upper, -1.0)]
     found, new = np.empty((0, 4)), _folded(np.array([disc for disc in seed if disc[2] >= least]).reshape(-1, 4), a)
+    # reflect the discs that are new in both circles, until all images are too small or there already
     while len(new):
         new = _new_discs(found, new, SAME_DISC * least)
         found = np.concatenate([found, new])
@@ -113,10 +114,10 @@ def _new_discs(found: np.ndarray, new: np.ndarray, tolerance: float) -> np.ndarr
 
 
 def _reflected(discs: np.ndarray, x: float, y: float, size: float, a: float, least: float) -> np.ndarray:
-    """Return the mirror images, in a circle, of all copies of discs that lie outside it: (spheres N, 4), columns x, y,
-    radius and sense of turning.
+    """Return mirror images of discs in a circle, (images, 4): columns x, y, radius and sense of turning. They are the
+    images of all copies of the discs that lie outside the circle.
 
-    discs : (N, 4); copies are made by reflection in x = 0 and by shifts of 2 a.
+    discs : (spheres N, 4), in these columns; copies are made by reflection in x = 0 and by shifts of 2 a.
     x, y, size : centre and radius of the circle.
     a : half the period along x. All lengths are in heights of the strip.
     least : radius of the smallest images that are kept.
@@ -124,7 +125,7 @@ def _reflected(discs: np.ndarray, x: float, y: float, size: float, a: float, lea
     Each disc of the bearing is orthogonal to the circle, inside it or outside. Those inside are images of larger ones
     outside, so none is missed.
     """
-    farthest = size * sqrt(discs[:, 2].max(initial=0.0) / least) + 1  # images of those beyond are too small
+    farthest = size * sqrt(discs[:, 2].max(initial=0.0) / least) + 1  # images of discs beyond it are too small
     shifts = 2 * a * np.arange(-ceil(farthest / (2 * a)) - 1, ceil(farthest / (2 * a)) + 2)
     copies = np.concatenate([discs * [side, 1, 1, 1] + [shift, 0, 0, 0] for shift in shifts for side in (1, -1)])
     offset, radius = copies[:, :2] - [x, y], copies[:, 2]
@@ -140,20 +141,21 @@ def _contacts(place: np.ndarray, radius: np.ndarray, length: float) -> tuple[np.
     """Return contacts (contacts E, 2) and normals (E, 2), unit vectors from the first to the second disc, of discs on a
     strip that is periodic along x.
 
-    place : (N spheres, 2), centres.
-    radius : (N,).
-    length : length of the strip along x. Lengths are in heights of the strip.
+    place : (spheres N, 2), centres. Lengths are in heights of the strip.
+    radius : (N,), in descending order.
+    length : length of the strip along x.
     """
     from scipy.spatial import cKDTree  # a tenth of a second that runs do not need
 
     count = len(place)
     copies = np.concatenate([place + [side * length, 0.0] for side in (-1, 0, 1)])
-    near = cKDTree(copies).query_ball_point(place, 2 * radius * (1 + TANGENT))  # smaller discs are no farther away
+    # a contact is found from its larger disc, the first: the other one is no farther away than twice its radius
+    near = cKDTree(copies).query_ball_point(place, 2 * radius * (1 + TANGENT))
     first, copy = np.repeat(np.arange(count), [len(own) for own in near]), np.concatenate(near).astype(np.int64)
     second = copy % count
     vector, reach = copies[copy] - place[first], radius[first] + radius[second]
     size = np.linalg.norm(vector, axis=1)
-    kept = (first < second) & (np.abs(size - reach) <= TANGENT * reach)  # the first is not the smaller one
+    kept = (first < second) & (np.abs(size - reach) <= TANGENT * reach)
     first, second, vector, size = first[kept], second[kept], vector[kept], size[kept]
     order = np.lexsort((vector[:, 0], second, first))
     return np.column_stack([first, second])[order], (vector / size[:, None])[order]
