@@ -165,10 +165,7 @@ class Bearing(ABC):
     @cached_property
     def jump(self) -> float:
         """Size of the difference between the imposed spins, which serves as unit of spin differences; 0 where all
-        agree.
-
-        It is measured in the form that solvers store: 1/time on lattices, radius * spin in length/time in other
-        packings.
+        agree. On lattices it is of spins, 1/time; in other packings of radius * spin, length/time.
         """
         return self.driving.jump
 
@@ -227,9 +224,8 @@ class Bearing(ABC):
 
     def imposed_spins(self) -> Pair:
         """Return laboratory spins, 1/time, (spheres *N) of discs or (*N, 3) of spheres, in twice the precision:
-        doubles, and an array of the same shape with what their rounding leaves out.
-
-        Driven spheres have their imposed spins; the spins of free spheres mean nothing.
+        doubles, and an array of the same shape with what their rounding leaves out. Driven spheres have their imposed
+        spins; the spins of free spheres mean nothing.
         """
         return self.driving.spins()
 
@@ -430,8 +426,7 @@ class Bearing(ABC):
         """(samples R, contacts E) copy of `coefficient` in which absent contacts have ABSENT_COEFFICIENT times the mean
         instead of 0.
 
-        Some methods cannot handle spheres without any present contact and use it. Bounds are computed with
-        `coefficient`.
+        It is for methods that cannot handle spheres without a present contact. Bounds are computed with `coefficient`.
         """
         mean = self.coefficient.mean(axis=1, keepdims=True)
         return np.where(self.coefficient == 0, ABSENT_COEFFICIENT * np.where(mean > 0, mean, 1.0), self.coefficient)
@@ -495,9 +490,8 @@ def inverse(values: np.ndarray) -> np.ndarray:
 
 
 def vector_length(components: np.ndarray) -> np.ndarray:
-    """Return the Euclidean lengths, (...), of vectors whose components are along the first axis, (d, ...).
-
-    They are 0 if d = 0, and exactly the absolute values of the component if d = 1.
+    """Return the Euclidean lengths, (...), of vectors whose components are along the first axis, (d, ...): 0 if d = 0,
+    and exactly the absolute values of the component if d = 1.
     """
     if len(components) == 0:
         return np.zeros(components.shape[1:])

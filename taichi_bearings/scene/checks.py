@@ -140,8 +140,7 @@ def bodies(values: ArrayLike, spheres: int) -> np.ndarray:
 def columns_as_vectors(found: Mapping[str, Any]) -> dict[str, np.ndarray]:
     """Return the arrays of a file of a packing by name, with columns (N, 1) or (E, 1) reshaped to (N,) or (E,).
 
-    found : the arrays by name, `center` and `contact` among them, which say how many spheres N and contacts E there
-        are.
+    found : the arrays by name; `center` and `contact` say how many spheres N and contacts E there are.
     """
     places, pairs = np.shape(found["center"]), np.shape(found["contact"])
     counts = {places[0] if places else 0, pairs[0] if pairs else 0}

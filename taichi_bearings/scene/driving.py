@@ -358,9 +358,7 @@ class Driving:
 
     def spins(self) -> Pair:
         """Return laboratory spins, (spheres *N) of discs or (*N, 3) of spheres, 1/time, and an array of what their
-        rounding leaves out.
-
-        Driven spheres have their imposed spins; those of free ones have no meaning.
+        rounding leaves out. Driven spheres have their imposed spins; those of free ones have no meaning.
         """
         at_rest = np.zeros((len(self.every), 1, *self.shape))
         spin, rest = self.laboratory(self.impose(at_rest, self.every), None, self.every)
@@ -369,9 +367,8 @@ class Driving:
 
 @dataclass(frozen=True)
 class BearingState:
-    """A bearing state: spins at which no contact of a lattice slips. Both fields are numbers in twice the precision.
-
-    In it the spin of a sphere at position x is A + C x, times -1 on every second sphere.
+    """A bearing state: spins at which no contact of a lattice slips. The spin of a sphere at position x is A + C x,
+    times -1 on every second sphere. Both fields are numbers in twice the precision.
 
     spin : the three components of A, 1/time.
     rate : C, an array of one number, 1/(time length).

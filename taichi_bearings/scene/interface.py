@@ -84,8 +84,7 @@ class Interface:
     Suppose that every sphere turned with the bottom or with the top; in a packing, with the first or the second driven
     body. Then all slip would be at the interface of the two domains, and the lightest interface would dissipate least.
     In 2D with Coulomb friction that is the minimum itself; in 3D, and for the viscous law, other states dissipate less
-    (docs/equations.md, 5). The objective is what the stationary state minimises: the power, or the dissipation
-    potential of a law whose power is no multiple of that.
+    (docs/equations.md, 5). The head of this file says what the objective is.
 
     power : energy/time, that the two rigid domains dissipate.
     contacts : (contacts E,) mask of the contacts that slip between them.

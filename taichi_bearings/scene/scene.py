@@ -483,9 +483,8 @@ class Scene(Bearing):
         """Return the imposed spin of the top plane, (C, nx, ny), in 2D (C, nx), 1/time, in the form that solvers store:
         with signs that alternate between neighbours, and less the bearing state of the bottom.
 
-        With these signs, neighbours that roll on each other have spins of the same sign. Since the state of the bottom,
-        in which no contact slips, is subtracted, slips keep their digits even if bottom and top are driven nearly alike
-        (docs/equations.md, 1).
+        As the state of the bottom, in which no contact slips, is subtracted, slips keep their digits even if bottom and
+        top are driven nearly alike (docs/equations.md, 1).
 
         spin_axes : numbers of the C components.
         """

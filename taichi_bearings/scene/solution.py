@@ -76,8 +76,7 @@ def counts_of_states(state: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Energy:
-    """Energy balance of a dynamics since its start; each field is an array (samples R,), one number for each sample, in
-    units of energy.
+    """Energy balance of a dynamics since its start; each field is an array (samples R,) in units of energy.
 
     kinetic : kinetic energy of the free spheres.
     spring : energy of the elongated springs at the contacts.
@@ -96,10 +95,8 @@ class Energy:
 
     @property
     def residual(self) -> np.ndarray:
-        """(samples R,) error of the balance, at_start + injected - dissipated - kinetic - spring, relative to the
-        turnover.
-
-        The error is divided by the larger of two energies: at_start + abs(injected), and abs(dissipated).
+        """(samples R,) error of the balance, at_start + injected - dissipated - kinetic - spring, divided by the larger
+        of at_start + abs(injected) and abs(dissipated).
         """
         turnover = np.maximum(self.at_start + np.abs(self.injected), np.abs(self.dissipated))
         missing = self.at_start + self.injected - self.dissipated - self.kinetic - self.spring
