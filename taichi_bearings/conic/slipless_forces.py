@@ -85,7 +85,7 @@ def nearly_borne(
         reach = _reach(friction, here, _samples_joined(balanced), slipping | at_limit, samples)
         ended = going & (reach > 1)
         going = going & (reach > LEAST_REACH)
-        if (going & ~ended).any():
+        if (going & ~ended).any():  # only part of the way: not worth it if the minimum is unique
             of_each = zip(np.split(friction, samples), np.split(at_limit, samples), strict=True)
             going = going & (ended | [may_have_several_minima(*of) for of in of_each])
         if limit is not None and (cut := ended & with_limit).any():
