@@ -1,10 +1,10 @@
 """Follows the last decades of the central path, until it is clear of every contact whether it slips or sticks.
 
-On the central path slip times friction margin, the product, is the same for all contacts. The path in doubles ends near
-products of 1e-14: margins fall below the rounding of forces, and slips below that of spins. Two changes let the product
-fall by another ten decades. Contacts with large slips leave their cones and obey the law of friction exactly; they are
-called *smooth*. And spins are sums of two doubles, so that slips have all their digits, and sum to 0 round every loop
-of contacts; otherwise contacts at rest would seem to slip by the rounding.
+On the central path slip times friction margin, the product, is about the same for all contacts. The path in doubles
+ends near products of 1e-14: margins fall below the rounding of forces, and slips below that of spins. Two changes let
+the product fall by another ten decades. Contacts with large slips leave their cones and obey the law of friction
+exactly; they are called *smooth*. And spins are sums of two doubles, so that slips have all their digits, and sum to 0
+round every loop of contacts; otherwise contacts at rest would seem to slip by the rounding.
 
 A contact that slips keeps its slip, and its margin falls in proportion to the product; a contact that sticks keeps its
 margin, and its slip falls. So the ratio slip / margin changes like 1 / product or like the product, and shows which is

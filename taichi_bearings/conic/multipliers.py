@@ -162,15 +162,15 @@ class _Multipliers:
         change, slip = length(end.held - self.held), length(here.differences(end.spins))
         self.change = max(change.max(initial=0.0), inertia * np.abs(end.spins).max(initial=0.0))
         self.spins, self.held, self.whole_dual = add(self.spins, exactly(end.spins)), end.held, -end.force
-        self._tell_apart(end.slips, slip, length(here.offset))
+        slipping = self._tell_apart(end.slips, slip, length(here.offset))
         room = point.friction - length(self.held)
-        rests = ~(end.slips if self.slipping is None else self.slipping)
-        changes = rests & (change > np.maximum(CHANGE_OVER_ROOM * room, SETTLED_CHANGE))
+        changes = ~slipping & (change > np.maximum(CHANGE_OVER_ROOM * room, SETTLED_CHANGE))
         self.forces_change = bool((changes & (point.friction > 0)).any())
         return True
 
-    def _tell_apart(self, at_limit: np.ndarray, slip: np.ndarray, before: np.ndarray) -> None:
-        """Decide which contacts slip, and set the fields `slipping`, `are_apart`, `undecided` and `slip`.
+    def _tell_apart(self, at_limit: np.ndarray, slip: np.ndarray, before: np.ndarray) -> np.ndarray:
+        """Return the mask (n,) of the contacts that slip, and set the fields `slipping`, `are_apart`, `undecided` and
+        `slip`.
 
         Contacts whose springs are below the friction limit rest. Since springs stretch, these contacts slip a little
         all the same; they *creep*. A contact at its limit is in doubt if its slip is less than APART times the fastest
@@ -184,8 +184,9 @@ class _Multipliers:
         doubtful = at_limit & (slip < APART * creep.max(initial=0.0)) & (self.point.friction > 0)
         rests = doubtful & ((slip < CREEPS * before) | (slip < NO_SLIP))
         self.are_apart = bool((rests == doubtful).all())
-        self.slipping, self.undecided = at_limit & ~rests if self.are_apart else at_limit, creep >= LEAST_SLIP
-        self.slip = slip
+        slipping = at_limit & ~rests if self.are_apart else at_limit
+        self.slipping, self.undecided, self.slip = slipping, creep >= LEAST_SLIP, slip
+        return slipping
 
     def minimise_for_slow(self) -> None:
         """Go on to further minima until slow contacts and resting ones are distinguished (`are_apart`) and the forces
