@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from taichi_bearings.errors import InputError
 from taichi_bearings.runs.cost import Cost
 from taichi_bearings.runs.result import Result
 from taichi_bearings.runs.settings import RunSettings
@@ -133,3 +134,15 @@ class RunKind(ABC):
         file = None if settings.initial == "random" else self.complete_file(settings)
         told = f"seed is {settings.seed}, but {file} holds all coefficients, so nothing is drawn from it"
         return [] if file is None else [told]
+
+    def refuse_idle_seeds(self, settings: RunSettings) -> None:
+        """Raise InputError if nothing is drawn from the seeds of a scan, since all its samples would be the same.
+
+        settings : settings of one of the samples.
+        """
+        if self.idle_seed(settings):
+            drawn = "coefficients" if settings.packing is None else "friction from the file"
+            raise InputError(
+                f"seed is scanned, but {self.complete_file(settings)} holds all coefficients, so nothing is drawn; "
+                f"leave out seed, or {drawn}"
+            )

@@ -177,6 +177,8 @@ class LatticeRuns(RunKind):
         :class:`RunKind`.
         """
         self.row(settings)
+        if has_seeds:
+            self.refuse_idle_seeds(settings)
 
     def are_solved_together(self, settings: RunSettings, spheres: int) -> bool:
         """Return True if samples that differ in their seeds alone can be solved at once, each with the same bits as

@@ -106,11 +106,8 @@ class PackingRuns(RunKind):
         """
         settings = fitting(settings, strict=False)
         packing_of(settings)
-        if has_seeds and settings.packing is not None and self.idle_seed(settings):
-            raise InputError(
-                f"seed is scanned, but {settings.packing} holds all coefficients, so nothing is drawn; leave out seed, "
-                "or friction from the file"
-            )
+        if has_seeds:
+            self.refuse_idle_seeds(settings)
 
     def are_solved_together(self, settings: RunSettings, spheres: int) -> bool:
         """Return True if samples that differ in their seeds alone can be solved at once, each with the same bits as

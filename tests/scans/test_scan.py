@@ -205,6 +205,19 @@ def test_bad_scenes_are_refused_before_anything_is_written(plan_of, tmp_path):
         assert not (tmp_path / "scan").exists()
 
 
+@pytest.mark.parametrize("driven", ["planes", "walls"])
+def test_seeds_are_refused_where_a_file_has_all_coefficients(driven, plan_of, tmp_path):
+    np.savez(tmp_path / "given.npz", x=np.ones((3, 5)), y=np.ones((4, 4)))
+    given = f'coefficients = "given.npz"\ndriven = "{driven}"\n'
+    seeds = "[scan]\nseed = [0, 1]\n"
+    for call in (estimate, partial(scan, engine=Here())):
+        with pytest.raises(InputError, match=r"seed is scanned, but .*given\.npz holds all coefficients, so nothing"):
+            call(plan_of(given + seeds), tmp_path / "never")
+    assert not (tmp_path / "never").exists()
+    drawn = plan_of(f'{given}method = "gradient-descent"\ninitial = "random"\n{seeds}')
+    assert estimate(drawn, tmp_path / "never")["missing"] == 2
+
+
 def test_killed_workers_lose_nothing(plan_of, tmp_path):
     plan = plan_of("shape = [5, 5]\n[scan]\nseed = { start = 0, stop = 40 }\n")
     engine = LocalEngine(partial(scan_faults.dawdle, seconds=0.01), 2)
