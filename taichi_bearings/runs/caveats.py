@@ -1,10 +1,11 @@
 """Warnings: sentences, each with a number, that say where an answer could be misread.
 
-They are `warnings` in the summary of a run, and lines on stderr. Each function here takes an answer and the settings of
-its run, and yields the sentences on one matter; it yields none where there is nothing to warn of.
+They are `warnings` in the summary of a run, and lines on stderr. Each function here takes the answer to all samples of
+a run, and the settings of the run if it needs them. It yields the sentences on one matter; none if there is nothing to
+warn of.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -39,7 +40,13 @@ def caveats(solution: Solution, settings: RunSettings) -> list[str]:
     solution : the answer to all samples of a lattice or a packing.
     settings : settings of the run.
     """
-    return [sentence for of in CAVEATS for sentence in of(solution, settings)]
+    return [
+        *_torque_between(solution, settings), *_beside_a_bottom_that_turns(solution, settings),
+        *_strength_unknown(solution, settings), *_law_of_ones_own(solution), *_no_power(solution),
+        *_unfinished(solution, settings), *_not_proven(solution), *_contacts_found_and_idle(solution, settings),
+        *_undecided(solution), *_hardly_apart(solution, settings), *_tied(solution), *_long_time_step(solution),
+        *_stretched_springs(solution),
+    ]  # fmt: skip
 
 
 def _torque_between(solution: Solution, settings: RunSettings) -> Iterator[str]:
@@ -100,12 +107,8 @@ def _strength_unknown(solution: Solution, settings: RunSettings) -> Iterator[str
         )
 
 
-def _not_proven(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield a sentence for each sample of a packing whose lower bound on the least power is not proven of all spins.
-
-    solution : the answer to all samples.
-    settings : not used.
-    """
+def _not_proven(solution: Solution) -> Iterator[str]:
+    """Yield a sentence for each sample of a packing whose lower bound on the least power is not proven of all spins."""
     several, said = solution.scene.replicas > 1, solution.findings.get("proof", ())
     for seed, proof in zip(solution.scene.seeds, said, strict=False):
         if proof != PROVEN:
@@ -143,12 +146,8 @@ def _in_samples(which: np.ndarray) -> str:
     return f" in {int(which.sum()):,} of {len(which):,} samples" if len(which) > 1 else ""
 
 
-def _law_of_ones_own(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield a sentence, for a law that the user has defined, on the properties of the law that its lower bounds assume.
-
-    solution : the answer to all samples.
-    settings : not used.
-    """
+def _law_of_ones_own(solution: Solution) -> Iterator[str]:
+    """Yield a sentence on what lower bounds assume of the law, if it is one that the user has defined."""
     if not solution.scene.law.is_sum:
         yield (
             f"what is proven rests on the law {solution.scene.law.name!r} as it was given: that its potential is "
@@ -157,12 +156,8 @@ def _law_of_ones_own(solution: Solution, settings: RunSettings) -> Iterator[str]
         )
 
 
-def _no_power(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield a sentence if the least power is 0, with the reason.
-
-    solution : the answer to all samples.
-    settings : not used.
-    """
+def _no_power(solution: Solution) -> Iterator[str]:
+    """Yield a sentence if the least power is 0, with the reason."""
     scene = solution.scene
     still = (solution.objective == 0) & (solution.gap == 0)
     if reason := scene.driving.why_without_power:
@@ -179,9 +174,10 @@ def _no_power(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _unfinished(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield a sentence if a run ended early: why, and what it had reached. That is the proven gap of a minimisation; or
-    the simulated time of a dynamics, with the leftover torques if its motion was not at rest. If power and slips of a
-    minimisation that got no closer may be rounding alone, the sentence says so instead.
+    """Yield a sentence if a run ended early, with the reason and what was reached.
+
+    * of a dynamics: the simulated time; without a duration also the torques left over, as it was to end at rest;
+    * of a minimisation: the proven gap; or, if it stalled, that power and slips may be due to rounding alone.
 
     solution : the answer to all samples.
     settings : settings of the run, with the tolerance and the duration that were asked for.
@@ -215,20 +211,15 @@ def _unfinished(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _hardly_slip(solution: Solution) -> np.ndarray:
-    """Return a mask (R samples,): True where no contact slips faster than rounding could make it.
-
-    solution : the answer to all samples.
-    """
+    """Return a mask (R samples,): True where no contact slips faster than rounding could make it."""
     fastest = float(np.abs(solution.scene.driven_speed).max(initial=0.0))
     slip = np.where(solution.state == ContactState.DRIVEN, 0.0, solution.slip).max(axis=1, initial=0.0)
     return np.asarray(slip <= ROUNDED_SLIP * fastest)
 
 
-def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield a sentence on how many contact states are undecided, by reason; none if all are decided.
-
-    solution : the answer to all samples.
-    settings : not used.
+def _undecided(solution: Solution) -> Iterator[str]:
+    """Yield a sentence with the numbers of undecided contacts by reason, if there are any. If the weakest contacts of a
+    sample dissipate too little for any unproven state to be named, the sentence says that instead.
     """
     if solution.states_proven.all():
         return
@@ -243,16 +234,17 @@ def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
         undecided = solution.state == ContactState.UNDECIDED
         fast = undecided & (solution.slip > solution.slip_threshold)
         # contacts without friction have no limit, so slip alone says what they do
-        holds = scene.law.has_friction
-        bears_all = solution.force >= full * scene.coefficient if holds else fast
-        held = int((fast & ~bears_all).sum())
-        passing = int((fast & bears_all & ~(unresolved(solution) & holds)).sum())
+        has_limit = scene.law.has_friction
+        at_limit = solution.force >= full * scene.coefficient if has_limit else fast
+        below_limit = int((fast & ~at_limit).sum())
+        resolved = int((fast & at_limit & ~(unresolved(solution) & has_limit)).sum())
+        slow = number - below_limit - resolved
         all_contacts = int((solution.state != ContactState.DRIVEN).sum())
         faster = f" faster than {solution.slip_threshold:.1e} (slip_threshold)" if solution.slip_threshold else ""
         kinds = {
-            f"slipping{faster}, although with friction below its limit": held,
-            f"{'at the friction limit, and ' * holds}slipping too slowly to be told from rest": number - held - passing,
-            "slipping, but perhaps not at every minimum": passing,
+            f"slipping{faster}, although with friction below its limit": below_limit,
+            f"{'at the friction limit, and ' * has_limit}slipping too slowly to be told from rest": slow,
+            "slipping, but perhaps not at every minimum": resolved,
         }
         reasons = "; ".join(f"{count:,} {words}" for words, count in kinds.items() if count)
         yield f"{number:,} of {counted(all_contacts, 'contact')} undecided: {reasons}"
@@ -285,12 +277,9 @@ def _hardly_apart(solution: Solution, settings: RunSettings) -> Iterator[str]:
         )
 
 
-def _tied(solution: Solution, settings: RunSettings) -> Iterator[str]:
+def _tied(solution: Solution) -> Iterator[str]:
     """Yield a sentence with the number of contacts that slip at some minima and not at others; none if there are no
     such contacts.
-
-    solution : the answer to all samples.
-    settings : not used.
     """
     tied = int(solution.counts[:, ContactState.TIED].sum())
     if tied:
@@ -298,12 +287,8 @@ def _tied(solution: Solution, settings: RunSettings) -> Iterator[str]:
         yield f"minima tie exactly (several have the least power): {contacts} slip at some of them and not at others"
 
 
-def _long_time_step(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Yield a sentence if the time step of a dynamics is too long for accurate spins before its end.
-
-    solution : the answer to all samples.
-    settings : not used.
-    """
+def _long_time_step(solution: Solution) -> Iterator[str]:
+    """Yield a sentence if the time step of a dynamics is too long for accurate spins before its end."""
     error, advised = (solution.findings.get(name) for name in ("step_error", "accurate_time_step"))
     if error is not None and error.max() > ACCURATE_ERROR:
         words = f"the time step makes spins wrong by about {error.max():.1e} of the largest one on their way"
@@ -311,12 +296,9 @@ def _long_time_step(solution: Solution, settings: RunSettings) -> Iterator[str]:
         yield f"{words}; --time-step {step:.2g} keeps that below {ACCURATE_ERROR:g}" if np.isfinite(step) else words
 
 
-def _stretched_springs(solution: Solution, settings: RunSettings) -> Iterator[str]:
+def _stretched_springs(solution: Solution) -> Iterator[str]:
     """Yield a sentence if the springs of a dynamics are stretched by more than STRETCHED_SHARE of the distance by which
     the driven spheres have slid past each other.
-
-    solution : the answer to all samples.
-    settings : not used.
     """
     share = solution.findings.get("elastic_share")
     largest = 0.0 if share is None else float(np.nanmax(share, initial=0.0))
@@ -327,10 +309,3 @@ def _stretched_springs(solution: Solution, settings: RunSettings) -> Iterator[st
             f"other; a stiffness {stiffer:.2g} times as large, or as much more time, keeps that below "
             f"{STRETCHED_SHARE:g}"
         )
-
-
-CAVEATS: tuple[Callable[[Solution, RunSettings], Iterator[str]], ...] = (
-    _torque_between, _beside_a_bottom_that_turns, _strength_unknown, _law_of_ones_own, _no_power, _unfinished,
-    _not_proven, _contacts_found_and_idle, _undecided, _hardly_apart, _tied, _long_time_step, _stretched_springs,
-)  # fmt: skip
-"""The warnings, in their order."""
