@@ -209,16 +209,17 @@ def read_scan(scan: Path) -> StoredScan:
     if not path.is_file():
         raise FileError(f"{scan} is not a scan: there is no {path}")
     with read_hdf5(path, "scan") as file:
+        # columns, then histograms: edges of bins, counts in bins, and numbers of contacts by state
         group = file["table"]
         sets = {str(name): group[str(name)] for name in group.attrs["columns"]}
         table = {name: (s.asstr() if h5py.check_string_dtype(s.dtype) else s)[()] for name, s in sets.items()}
         edges, count = (file[f"histogram/{name}"][()] for name in ("edges", "count"))
-        none = np.zeros(len(count), dtype=np.int64)  # in layout 1 tied contacts are among the undecided ones
+        zeros = np.zeros(len(count), dtype=np.int64)  # in layout 1 tied contacts are among the undecided ones
         lacks = {"tied"} if file.attrs["schema_version"] == 1 else set()
-        of_states = [none if name in lacks else file[f"histogram/{name}"][()] for name in CONTACT_SETS]
-        is_real = edges.dtype.kind == "f" and edges.ndim == 1 and ((edges > 0) & (edges < np.inf)).all()
-        place = BINS_PER_DECADE * np.log10(edges) if is_real else np.full(1, np.nan)  # must be successive whole numbers
-        first = round(float(place[0])) if is_real and len(edges) else 0
+        of_states = [zeros if name in lacks else file[f"histogram/{name}"][()] for name in CONTACT_SETS]
+        are_positive = edges.dtype.kind == "f" and edges.ndim == 1 and ((edges > 0) & (edges < np.inf)).all()
+        place = BINS_PER_DECADE * np.log10(edges) if are_positive else np.full(1, np.nan)  # successive whole numbers
+        first = round(float(place[0])) if are_positive and len(edges) else 0
         if len(place) and not np.allclose(place, first + np.arange(len(place)), rtol=0, atol=1e-6):
             raise InputError("the bins of the histograms are not equally wide on a logarithmic axis")
         counts = SampleCounts(first, BINS_PER_DECADE, count, np.stack(of_states, axis=1))

@@ -58,8 +58,9 @@ def is_sample(sample: Any) -> bool:
 
     sample : the record, as JSON has it.
 
-    It is False, too, for numbers of bins so large that arrays over them would not fit into memory, and for a lower
-    bound that exceeds what it bounds by more than rounding. Raises ValueError for a text that is no Unicode.
+    It is also False for what no table can hold: too many scalars, names that cannot be columns, texts with a null byte,
+    or numbers that are too large, such as those of bins whose arrays would not fit into memory; and for a lower bound
+    that exceeds what it bounds by more than rounding. Raises ValueError for a text that is no Unicode.
     """
     if not _has_key(sample):
         return False

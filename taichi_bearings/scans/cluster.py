@@ -96,7 +96,7 @@ class DaskEngine(LocalEngine):
     def can_take_unit(self) -> bool:
         """True if another unit of samples can be sent: each thread of the cluster has fewer than UNITS_AHEAD of them.
 
-        The threads are counted anew every COUNT_SECONDS.
+        The threads are counted anew every COUNT_SECONDS; a warning says if there is none for NO_WORKER_SECONDS.
         """
         now = time.monotonic()
         if now >= self._counted_at + COUNT_SECONDS:

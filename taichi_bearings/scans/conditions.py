@@ -13,7 +13,7 @@ LISTS_OF_NUMBERS = ("direction", "top", "bottom")  # settings that are lists of 
 
 
 def meeting(conditions: Sequence[str], table: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return a mask (samples,) of the samples that meet all conditions; it may be all False if there are several.
+    """Return a mask (samples,) of the samples that meet all conditions; perhaps all False, though each alone is met.
 
     conditions : texts KEY=VALUE: a sample must have this value in the column KEY. Texts are compared without regard to
         capital letters, numbers to the last bit.

@@ -182,7 +182,7 @@ class LocalEngine:
 
 Solved = tuple[list[Record] | None, str]  # the records of a unit, or the reason why there are none
 _solvers: dict[tuple[str, int], "_Solver"] = {}  # by engine and thread of this process
-_originals: dict[str, Original] = {}  # by engine, the process of which its workers are copies
+_originals: dict[str, Original] = {}  # by engine, the process that has loaded the program, which workers are copies of
 _closed: set[str] = set()  # names of engines that are closed
 _one_at_a_time = threading.Lock()  # to start or end a process: at each start multiprocessing checks all others
 
@@ -207,7 +207,7 @@ def end_solvers(engine: str) -> None:
     """
     _closed.add(engine)
     if engine in _originals:
-        _originals[engine].give_up()  # a thread may wait until it has loaded the program
+        _originals[engine].give_up()  # a thread may wait until this process has loaded the program
     with _one_at_a_time:
         ended = [_solvers.pop(key) for key in list(_solvers) if key[0] == engine]
         for solver in ended:
@@ -279,13 +279,13 @@ class _Solver:
             if not self._has_answer(seconds):
                 self._end()
                 return None, f"no result within {seconds:g} s"
-            records, is_healthy = self._pipe.recv()
-            if records is None:  # the process could not load the unit; it says why, and ends
+            records, health = self._pipe.recv()  # True if the process can go on
+            if records is None:  # it could not load the unit and ends; `health` says why
                 self._end()
-                return None, str(is_healthy)
+                return None, str(health)
         except (EOFError, OSError, pickle.UnpicklingError):  # it has ended, perhaps amid a message
             return None, self._end()
-        if not is_healthy:
+        if not health:
             self._end()
         return records, ""
 
@@ -294,7 +294,9 @@ class _Solver:
         return bool(multiprocessing.connection.wait([self._pipe], min(seconds, LONGEST_WAIT)))
 
     def _start(self) -> None:
-        """Start the process, and wait until it says that it has started."""
+        """Start the process, a copy of the engine's original (copies.py), and wait until it says that it has started.
+        Raises EOFError if the engine is closed.
+        """
         multiprocessing.current_process().daemon = False  # where Dask has set this, no process could be started
         with _one_at_a_time:
             if self.engine in _closed:

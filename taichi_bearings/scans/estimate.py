@@ -166,21 +166,22 @@ class WorkLeft:
             kind.seconds += seconds + seconds_without_solve(sample.settings, self.structure)
 
     def seconds_left(self, running: Sequence[Unit], workers: int, elapsed: float) -> float | None:
-        """Return the seconds left at the pace so far; None while too little is finished to tell. The pace is wall time
-        per estimated work, so it includes the speed of the machines and all that is done apart from solving.
+        """Return the estimated seconds left: the work left, shared among the workers and slowed down as the work so far
+        was, by all that is done apart from solving. None if too little is finished to tell: no sample of a method, or
+        less than BEGUN of the work while most of the rest is of kinds without a finished sample.
 
         running : units (tuples of samples) in work; half of each is taken to be done.
         workers : number of workers.
         elapsed : seconds since the start.
         """
-        pace = defaultdict[str, list[float]](lambda: [0.0, 0.0])  # by method: seconds and cost of finished samples
+        taken = defaultdict[str, list[float]](lambda: [0.0, 0.0])  # by method: seconds and cost of finished samples
         for kind in self.kinds.values():
-            pace[kind.method][0] += kind.seconds
-            pace[kind.method][1] += kind.done * kind.cost
+            taken[kind.method][0] += kind.seconds
+            taken[kind.method][1] += kind.done * kind.cost
         # seconds expected for one sample of each kind, and for all that remain, by whether their kind is measured
         expected, left = dict[Kind, float](), {True: 0.0, False: 0.0}
         for kind in self.kinds.values():
-            seconds, cost = pace[kind.method]
+            seconds, cost = taken[kind.method]
             expected[kind] = kind.seconds / kind.done if kind.done else kind.cost * seconds / cost if cost else math.inf
             left[kind.done > 0] += kind.remaining * expected[kind] if kind.remaining else 0.0
         done, all_left = sum(kind.seconds for kind in self.kinds.values()), sum(left.values())

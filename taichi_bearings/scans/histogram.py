@@ -138,16 +138,19 @@ def _source_of_scan(scan: StoredScan) -> Source:
 def _source_of_run(run: Result) -> Source:
     """Return the samples of a run in the form that histograms are made from: columns of numbers, and counts of contacts
     by bins of power.
+
+    run : the run, read from a file.
     """
     assert run.path is not None
-    settings, path, given = run.asked, file_of(run.path), list[tuple[np.ndarray, ...]]()
+    settings, path, replicas = run.asked, file_of(run.path), len(run.solution.state)
     attributes, power, state = run.attributes, run.solution.power_per_contact, run.solution.state
     has_lists = run.scene.network.lattice is None
-    # arrays that identify the disorder of each replica, where its coefficients were not drawn from a seed
+    # arrays that identify the disorder of each replica, where its coefficients were not drawn from a seed: who touches
+    # whom, unless it is a lattice, and the coefficients
+    given = list[tuple[np.ndarray, ...]]()
     if has_lists or attributes.get("coefficients"):
-        ends = (run.scene.network.contact,) if has_lists else ()
-        given = [(*ends, *values) for values in zip(*run.solution.scene.material, strict=True)]
-    replicas = len(state)
+        contacts_of_list = (run.scene.network.contact,) if has_lists else ()
+        given = [(*contacts_of_list, *values) for values in zip(*run.solution.scene.material, strict=True)]
     known = {*attributes, *RunSettings.keys()} - {"scene", "command"} - ({"shape"} if has_lists else set())
 
     def column(name: str) -> np.ndarray:
@@ -190,9 +193,9 @@ def pooled(
     without a column one of all samples, by the key None.
 
     sources : runs and scans whose samples are pooled.
-    bins_per_decade : bins for each factor of 10 of the power. For scans it must divide 20, as they store powers in 20
-        bins a decade. If the units of their samples differ, the bins of each sample are shifted by the nearest whole
-        number of such bins.
+    bins_per_decade : bins for each factor of 10 of the power. For scans, which store powers in 20 bins a decade, it
+        must divide 20; if the units of their samples differ, each sample is shifted by a whole number of stored bins,
+        the nearest.
     normalise : unit of power: "none", or "mean" for the mean power of a contact of the sample.
     by : name of the column whose values tell the histograms apart, or None.
     where : conditions KEY=VALUE on columns; only samples that meet all of them are pooled.
@@ -329,12 +332,12 @@ def _report(histograms: Histograms, by: str | None) -> Json:
 def _numbers_of(parts: Sequence[PowerHistogram]) -> Json:
     """Return numbers of contacts and samples in some histograms together, by name.
 
-    slipping, slipless, tied, undecided : numbers of contacts in these states.
-    samples, asked : numbers of samples that are pooled, and of all that were asked for.
-    left_out : number of samples that are not pooled, by reason.
-    census : the numbers of samples in words.
-
     parts : the histograms.
+
+    * slipping, slipless, tied, undecided: numbers of contacts in these states.
+    * samples, asked: numbers of samples that are pooled, and of all that were asked for.
+    * left_out: number of samples that are not pooled, by reason.
+    * census: the numbers of samples in words.
     """
     names = ("slipping", "slipless", "tied", "undecided", "samples")
     counted = {name: sum(getattr(part, name) for part in parts) for name in names}

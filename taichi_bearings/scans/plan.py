@@ -89,8 +89,8 @@ class ScanPlan:
         return toml_text(self.options) + self.settings
 
     def with_options_of(self, folder: Path) -> "ScanPlan":
-        """Return this plan with the options of the scan (SCAN_OPTIONS) that it lacks, as far as the scan.toml in a
-        folder has them from an earlier call.
+        """Return this plan, with options of the scan (SCAN_OPTIONS) that it lacks taken from the scan.toml in a folder,
+        where an earlier call has written them.
 
         folder : folder of the scan.
         """
@@ -263,8 +263,10 @@ def _range(key: str, table: Mapping[str, object]) -> tuple[float, Callable[[int]
     stay whole.
 
     key : name of the setting, for messages.
-    table : the range: start and stop, with an optional step (stop excluded); or with a number and a spacing, "linear"
-        or "log" (both ends included).
+    table : the range: start and stop, with an optional step (stop excluded); or with a number of values, at least 2,
+        and a spacing, "linear" or "log" (both ends included, and different; for "log" above 0).
+
+    Raises InputError for anything else, and for a range without values.
     """
     get: Any = table.get
     is_spaced = "number" in table

@@ -146,8 +146,8 @@ def refuse_unused(plan: ScanPlan, folder: Path, is_here: bool = False) -> None:
 
 
 def estimate(plan: ScanPlan, folder: Path, workers: int = 0, part: parts.Part | None = None) -> Json:
-    """Return what a scan would cost, by name: `samples`, `missing` samples, `workers`, `seconds` (None if unknown) and
-    `bytes`. Nothing is solved.
+    """Return what a scan would cost, by name: `samples`, `scanned` settings, `missing` samples, `workers`, `seconds`
+    (None if unknown) and `bytes`. Nothing is solved.
 
     plan : the samples asked for.
     folder : folder of the scan, which may hold some of them.
@@ -356,8 +356,8 @@ class _OpenScan:
         return key in self.records and not parts.is_failed(self.records[key])
 
     def _write(self, removes: bool = False) -> None:
-        """Write scan.h5 and scan.csv, each in full or not at all, with rows in the order of the plan. Both store the
-        size of the journals whose records they hold, so that readers see whether they are up to date.
+        """Write scan.h5 and scan.csv, each in full or not at all, with rows in the order of the plan. scan.h5 stores
+        the size of the journals whose records it holds, so that readers see whether it is up to date.
 
         removes : True to remove figures that are out of date first.
         """
@@ -379,16 +379,17 @@ class _OpenScan:
     def report(self, interrupted: bool) -> Json:
         """Return the report that `--json` prints, by name.
 
-        interrupted : the argument, True if the scan was stopped early; the entry of this name is False if no work was
-            left.
-        samples : number of samples of the scan. Each is in one of `done` (with a result), `failed` (with an error
-            instead; `failures` lists them) and `missing` (not yet solved).
-        solved_now, seconds : number of samples solved in this call, and how long it took.
-        reached, warned, unanalysed : numbers of results that reached what was asked, that have warnings, and that have
-            no analysis although others have one.
-        lacking : number of samples with a result that lacks something asked for now, such as an analysis; they are
-            solved again.
-        scan, files, removed : paths of the folder, of the files written, and of outdated figures that were removed.
+        interrupted : True if the scan was stopped early.
+
+        * samples: number of samples of the scan. Each is in one of `done` (with a result), `failed` (with an error
+          instead; `failures` lists them) and `missing` (not yet solved).
+        * solved_now, seconds: number of samples solved in this call, and how long it took.
+        * reached, warned, unanalysed: numbers of results that reached what was asked, that have warnings, and that have
+          no analysis although others have one.
+        * lacking: number of samples with a result that lacks something asked for now, such as an analysis; they are
+          solved again.
+        * interrupted: True if the scan was stopped early and work was left.
+        * scan, files, removed: paths of the folder, of the files written, and of outdated figures that were removed.
         """
         known = [(sample, self.records[sample.key]) for sample in self.plan.samples if sample.key in self.records]
         solved = [record for _, record in known if not parts.is_failed(record)]

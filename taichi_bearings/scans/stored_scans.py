@@ -178,14 +178,14 @@ def histograms_of(plan: ScanPlan, records: Mapping[str, Json]) -> SampleCounts:
 
 
 def disorder_of(columns: Mapping[str, np.ndarray], settings: RunSettings | None = None) -> list[tuple[Any, ...]]:
-    """Return for each row of a table of samples a name for its disorder, the coefficients of its contacts.
+    """Return a name for each row of a table of samples; rows with equal names are the same system with the same
+    coefficients, so they are no independent samples.
+
+    They differ at most in how they were solved, and in settings that their methods or laws do not use. In a table
+    without seeds all names differ.
 
     columns : the table, arrays (rows,) by name.
-    settings : settings of all rows, where no column has them; needed to compare the names of several tables.
-
-    Rows with equal names are the same system with the same coefficients, so they are no independent samples: they
-    differ at most in how they were solved, and in settings that their methods or laws do not use. In a table without
-    seeds all names differ.
+    settings : settings that all rows share and no column has; needed to compare the names of several tables.
     """
     rows, table = len(next(iter(columns.values()))), settings_table()
     of_system = [key for key, item in table.items() if key not in DRAWN and not item.of_solving]
@@ -193,6 +193,7 @@ def disorder_of(columns: Mapping[str, np.ndarray], settings: RunSettings | None 
         values = {key: written(getattr(settings, key)) for key in of_system}
         columns = {**{key: np.full(rows, value, dtype=object) for key, value in values.items()}, **columns}
     seeds = columns.get("seed", np.arange(rows)).tolist()
+    # parts of a name: seed and file of coefficients, then each setting of the system
     names = [seeds, columns["coefficients"].tolist() if "coefficients" in columns else seeds]
     methods = columns.get("method_found", columns.get("method", np.full(rows, None))).tolist()
     laws = columns.get("law", np.full(rows, COULOMB.name)).tolist()
