@@ -87,7 +87,7 @@ class Analysis:
     """
 
     def __init__(self, result: Result, threshold: float | None = None, sample: int = 0) -> None:
-        """Analyse all samples of a result."""
+        """Analyse all samples of a result; the class explains the arguments."""
         began, solution, is_one = time.perf_counter(), result.solution, len(result.solution.state) == 1
         if threshold is not None and not 0 < threshold < np.inf:
             raise InputError(f"threshold is {threshold}; it must be a positive, finite slip speed")
@@ -102,11 +102,12 @@ class Analysis:
                 self.structure = structure
             numbers.append(structure.numbers)
             self.arrays.append(findings_of(structure))
-        found_by = solution.slip_threshold if result.scene.driving.slips_are_unique else None
+        # the threshold behind the contact states of the result, if slips are unique, and what is known of these states
+        of_states = solution.slip_threshold if result.scene.driving.slips_are_unique else None
         proven = "proven" if np.all(result.numbers["states_proven"]) else "decided"
         self.report: Json = {
             **together(numbers),
-            "threshold": found_by if threshold is None else threshold,
+            "threshold": of_states if threshold is None else threshold,
             "states": proven if threshold is None else "threshold",
             **{name: result.numbers[name] for name in REPEATED_OF_RUN if name in result.numbers},
             **({"coefficients": result.asked.coefficients} if result.asked.coefficients else {}),

@@ -165,7 +165,7 @@ def _steps(settings: RunSettings, row: type[MethodOptions], scene: Scene) -> int
 
 
 def cost_of_packings(settings: RunSettings, row: type[MethodOptions], scene: Bearing) -> Cost:
-    """Return the estimated cost of a run of a packing, whose samples are solved one after the other.
+    """Return the estimated cost of a run of a packing, as if its samples were solved one after the other.
 
     settings : settings of the run.
     row : class of the method in the table of methods.
@@ -176,15 +176,17 @@ def cost_of_packings(settings: RunSettings, row: type[MethodOptions], scene: Bea
     if row.step_seconds((spheres, 1, 1)) is not None and settings.method != "auto":
         steps = settings.iterations
         if row.is_dynamics and settings.duration is not None and (length := settings.values["time_step"]):
-            steps = min(int(np.ceil(settings.duration / length)), steps or 2**62)
+            needed = int(np.ceil(settings.duration / length))
+            steps = needed if steps is None else min(needed, steps)
         step = STEP_SECONDS * spheres
         seconds = _seconds_in_all(settings, PROCESS_SECONDS, None if steps is None else steps * step * count)
         return Cost(row.name, seconds, step, steps, PROCESS_BYTES + STEPPED_BYTES * spheres)
+    # the time of a minimum is that of a lattice of so many spheres, times a factor
     along = bool((np.count_nonzero(network.normal, axis=1) == 1).all())
-    alike = InteriorPoint.seconds((spheres, 1, 1), settings.tolerance) or 0.0
+    of_lattice = InteriorPoint.seconds((spheres, 1, 1), settings.tolerance) or 0.0
     settles = not _is_unsettled(settings)
-    in_time = 1.0 if settles else UNSETTLED_SECONDS
-    seconds = PROCESS_SECONDS + count * alike * in_time * (ALONG_FACTOR if along else OBLIQUE_FACTOR)
+    factor = (ALONG_FACTOR if along else OBLIQUE_FACTOR) * (1.0 if settles else UNSETTLED_SECONDS)
+    seconds = PROCESS_SECONDS + count * of_lattice * factor
     needed = PROCESS_BYTES + bytes_of_packing(spheres, along, settles)
     name = method_of(scene, settings.method, looks_for_motions=spheres <= MOST_SEARCHED)
     return Cost(name, seconds, None, None, needed)

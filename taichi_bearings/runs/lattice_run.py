@@ -148,15 +148,11 @@ class LatticeRuns(RunKind):
         return _row_of(replace(settings, seed=0))
 
     def job(self, settings: RunSettings, strict: bool = True) -> LatticeJob:
-        """Return the job that the settings describe; every input error is raised here. The arguments are explained in
-        :class:`RunKind`.
-        """
+        """Return the job that the settings describe, as :class:`RunKind` explains."""
         return self._job(settings, None, strict)
 
     def job_of_seeds(self, settings: RunSettings, seeds: Sequence[int]) -> LatticeJob:
-        """Return the job that solves several samples at once, which differ in their seeds alone. The arguments are
-        explained in :class:`RunKind`.
-        """
+        """Return the job that solves several samples at once, as :class:`RunKind` explains."""
         return self._job(replace(settings, seed=seeds[0], replicas=len(seeds)), seeds, False)
 
     def _job(self, settings: RunSettings, seeds: Sequence[int] | None, strict: bool) -> LatticeJob:
@@ -173,25 +169,19 @@ class LatticeRuns(RunKind):
         return job_of(settings, scene, initial_spin(scene, settings.initial), strict)
 
     def refuse(self, settings: RunSettings, has_seeds: bool) -> None:
-        """Raise InputError for settings that describe no scene that can be solved. The arguments are explained in
-        :class:`RunKind`.
-        """
+        """Raise InputError for settings of a scene that cannot be solved, as :class:`RunKind` explains."""
         self.row(settings)
         if has_seeds:
             self.refuse_idle_seeds(settings)
 
     def are_solved_together(self, settings: RunSettings, spheres: int) -> bool:
-        """Return True if samples that differ in their seeds alone can be solved at once, each with the same bits as
-        alone. The arguments are explained in :class:`RunKind`.
-        """
+        """Return True if samples that differ in their seeds can be solved at once, as :class:`RunKind` explains."""
         ends_early = settings.time_limit is not None or getattr(settings, "settle", None) is False
         is_drawn = settings.coefficients is None
         return is_drawn and not ends_early and spheres < self.row(settings).alike_in_a_block
 
     def samples_at_a_time(self, settings: RunSettings, spheres: int) -> int:
-        """Return how many samples that differ in their seeds alone a worker should get at a time at least. The
-        arguments are explained in :class:`RunKind`.
-        """
+        """Return how many samples a worker should get at a time at least, as :class:`RunKind` explains."""
         block = max(BLOCK_SAMPLES, BLOCK_SPHERES // spheres)
         return block if spheres < self.row(settings).alike_in_a_block else 1
 
@@ -202,9 +192,7 @@ class LatticeRuns(RunKind):
         return self.row(settings).seconds(settings.shape, settings.tolerance)
 
     def worker_bytes(self, settings: RunSettings, spheres: int, most: int) -> float:
-        """Return the estimated memory, bytes, of a worker that solves samples with these settings. The arguments are
-        explained in :class:`RunKind`.
-        """
+        """Return the estimated memory, bytes, of a worker that solves samples, as :class:`RunKind` explains."""
         periodic = ["xyz".index(name) for name in settings.periodic]
         return bytes_of_lattice(self.row(settings), settings.shape, periodic, most)
 
@@ -302,8 +290,8 @@ def _finished_by_splitting(solution: Solution, stop: "StopRule", solve: Callable
 
 
 def _split(one: Solution, stop: "StopRule", solve: Callable[..., Solution]) -> tuple[Solution, Solution]:
-    """Return the better of two answers to a sample, and the second of them: a given one, and that of operator splitting
-    from its spins. The second has the status STALLED if splitting was given up early.
+    """Improve the answer to a sample by operator splitting from its spins. Return the better of both answers, and the
+    answer of splitting, with the status STALLED if splitting was given up early.
 
     one : the answer to the sample.
     stop : tolerance, and the most iterations and seconds.

@@ -55,7 +55,7 @@ class _Motion:
 
 @dataclass(frozen=True)
 class Motions:
-    """The motions of the top of one sample that were solved, by strength: the factor of the imposed motion.
+    """Motions of the top of one sample that were solved, by strength, their factor of the imposed motion.
 
     scene : the sample, with the top moved as imposed.
     solve : function that solves another scene in the same way.
@@ -67,7 +67,9 @@ class Motions:
     known: dict[float, _Motion] = field(default_factory=dict)
 
     def at(self, strength: float) -> _Motion:
-        """Return the motion of the top at `strength` times its imposed motion, which is solved if it is not known."""
+        """Return the motion of the top at `strength` times its imposed motion, which is solved if it is not known. The
+        torque is P / strength; the bounds are those of the objective, which is `share` times the potential.
+        """
         if strength not in self.known:
             found = self.solve(self.scene.with_top(strength))
             bounds = np.array([found.lower_bound[0], found.objective[0] * SUMMED]) / self.scene.law.share
@@ -84,7 +86,7 @@ class Motions:
         """Return the factor of the imposed motion that a torque causes, proven within SHARP; NaN if there is none, or
         if it is not proven.
 
-        torque : its size, force*length, above 0.
+        torque : size of the torque, force*length, above 0.
         """
         ends = self._around(torque)
         if ends is None:
@@ -95,10 +97,10 @@ class Motions:
         return found if self._is_proven(found, torque) else float("nan")
 
     def _around(self, torque: float) -> tuple[float, float] | None:
-        """Return a factor of the imposed motion that needs at most this torque, and a larger one that needs at least as
-        much; None if a solve misses its tolerance or no such factors are found.
+        """Return two factors of the imposed motion between which it needs this torque, the smaller one first; None if
+        a solve misses its tolerance or none are found. They are sought from 1 on, upwards or downwards, by FACTOR.
 
-        torque : its size, force*length.
+        torque : size of the torque, force*length.
         """
         is_low = self.at(1.0).torque <= torque
         near = 1.0
@@ -113,9 +115,9 @@ class Motions:
 
     def _is_proven(self, strength: float, torque: float) -> bool:
         """Return True if the factor of the imposed motion that a torque causes is proven to differ from `strength` by
-        at most SHARP, relatively. The proof is that of the head of this file.
+        at most SHARP, relatively, by the two inequalities at the head of this file.
 
-        torque : its size, force*length.
+        torque : size of the torque, force*length.
         """
         slower, found, faster = (self.at(strength * share) for share in (1 - SHARP, 1.0, 1 + SHARP))
         is_no_less = found.high - slower.low <= torque * (found.strength - slower.strength)

@@ -85,60 +85,48 @@ class PackingRuns(RunKind):
         return method_of_packing(settings)
 
     def job(self, settings: RunSettings, strict: bool = True) -> PackingJob:
-        """Return the job that the settings describe; every input error is raised here. The arguments are explained in
-        :class:`RunKind`.
-        """
+        """Return the job that the settings describe, as :class:`RunKind` explains."""
         settings = fitting(settings, strict)
         return PackingJob(settings, *packings_to_solve(settings))
 
     def job_of_seeds(self, settings: RunSettings, seeds: Sequence[int]) -> PackingJob:
-        """Return the job that solves several samples at once, which differ in their seeds alone. The file of the
-        packing is read once for all. The arguments are explained in :class:`RunKind`.
-        """
+        """Return the job that solves several samples at once, as :class:`RunKind` explains; the file is read once."""
         settings = fitting(settings, strict=False)
         if len(seeds) == 1:
             return PackingJob(settings, *packings_to_solve(settings))
         return PackingJob(replace(settings, replicas=len(seeds)), packing_of(settings, seeds=seeds), None)
 
     def refuse(self, settings: RunSettings, has_seeds: bool) -> None:
-        """Raise InputError for settings that describe no packing that can be solved. The arguments are explained in
-        :class:`RunKind`.
-        """
+        """Raise InputError for settings of a packing that cannot be solved, as :class:`RunKind` explains."""
         settings = fitting(settings, strict=False)
         packing_of(settings)
         if has_seeds:
             self.refuse_idle_seeds(settings)
 
     def are_solved_together(self, settings: RunSettings, spheres: int) -> bool:
-        """Return True if samples that differ in their seeds alone can be solved at once, each with the same bits as
-        alone. The arguments are explained in :class:`RunKind`.
-        """
+        """Return True if samples that differ in their seeds can be solved at once, as :class:`RunKind` explains."""
         is_drawn = settings.coefficients is None and settings.initial in STARTS
         return is_drawn and settings.time_limit is None and are_solved_together(settings, spheres)
 
     def samples_at_a_time(self, settings: RunSettings, spheres: int) -> int:
-        """Return how many samples that differ in their seeds alone a worker should get at a time: as many as are solved
-        together, or as take BLOCK_SECONDS. The arguments are explained in :class:`RunKind`.
+        """Return how many samples a worker should get at a time (see :class:`RunKind`): as many as are solved together,
+        but not more than take BLOCK_SECONDS.
         """
         if not are_solved_together(settings, spheres):
             return 1
-        alike = InteriorPoint.seconds((spheres, 1, 1), settings.tolerance) or 0.0
-        return min(MOST_IN_GROUP, int(BLOCK_SECONDS / (OBLIQUE_FACTOR * alike)))
+        of_lattice = InteriorPoint.seconds((spheres, 1, 1), settings.tolerance) or 0.0
+        return min(MOST_IN_GROUP, int(BLOCK_SECONDS / (OBLIQUE_FACTOR * of_lattice)))
 
     def seconds(self, settings: RunSettings) -> None:
         """Return None whatever the settings: it is not known beforehand how long a packing takes."""
 
     def worker_bytes(self, settings: RunSettings, spheres: int, most: int) -> float:
-        """Return the estimated memory, bytes, of a worker that solves samples with these settings. The arguments are
-        explained in :class:`RunKind`.
-        """
-        beside = min(self.samples_at_a_time(settings, spheres), MOST_TOGETHER) - 1
-        return PROCESS_BYTES + bytes_of_packing(spheres) + BESIDE_BYTES * beside * spheres
+        """Return the estimated memory, bytes, of a worker that solves samples, as :class:`RunKind` explains."""
+        others = min(self.samples_at_a_time(settings, spheres), MOST_TOGETHER) - 1
+        return PROCESS_BYTES + bytes_of_packing(spheres) + BESIDE_BYTES * others * spheres
 
     def complete_file(self, settings: RunSettings) -> str | None:
-        """Return the name of the file that has all coefficients of a run with these settings; None if some of them are
-        drawn. Of a packing whose file is gone this is not known: None.
-        """
+        """Return the name of the file that has all coefficients, as :class:`RunKind` explains; None if it is gone."""
         if settings.packing is None:
             return settings.coefficients
         if not Path(settings.packing).is_file():
@@ -185,16 +173,18 @@ def solve_packings(
     later, KeyboardInterrupt is raised instead, unless all samples were begun.
     """
     count, found, is_interrupted = scene.replicas, list[Solution](), False
+    # Steps from initial spins: all samples in one call; after an interrupt the answer has those that were begun.
     if not minimises(settings) and settings.torque is None:
         solution = solved_packing(settings, scene, start, monitors=monitors, checkpoints=checkpoints, **others)
         if (reached := solution.scene.replicas) < count:
             settings, start = replace(settings, replicas=reached), None if start is None else start[:reached]
         return Result(settings, solution, start, interrupted=solution.interrupted)
-    written = [None] * count if checkpoints is None else checkpoints.of_each(count)
+    # Minima, or findings on a torque: one block of samples after the other.
+    of_samples = [None] * count if checkpoints is None else checkpoints.of_each(count)
     for begin, end in _blocks(settings, scene):
         first = None if start is None else start[begin:end]
         block = some_of(scene, begin, end)
-        of_block = {"monitors": monitors, "checkpoints": written[begin], **others}
+        of_block = {"monitors": monitors, "checkpoints": of_samples[begin], **others}
         try:
             with leaving.saving() if found else nullcontext():
                 solved = solved_packing(settings, block, start=first, **of_block)
@@ -266,14 +256,15 @@ def fitting(settings: RunSettings, strict: bool = True) -> RunSettings:
 def packing_of(
     settings: RunSettings, found: Mapping[str, Any] | None = None, seeds: Sequence[int] | None = None
 ) -> Packing:
-    """Return the packing that the settings describe, with one sample for each replica, or for each of `seeds`.
+    """Return the packing that the settings describe, with one sample for each seed.
 
     It is read from a file and completed by values and draws of the settings; or, without a file, it is a lattice whose
     driven bodies are not planes.
 
     settings : settings of the run.
     found : the arrays of the file by name, if they were read already.
-    seeds : seeds of samples, each of which is as the settings alone would make it; None for the seeds of the settings.
+    seeds : the seed of each sample; each is the one that the settings with this seed alone describe. None for the seeds
+        of the settings, one for each replica.
     """
     seeds = settings.seeds if seeds is None else seeds
     if settings.packing is None:
@@ -368,7 +359,7 @@ def solved_packing(settings: RunSettings, packing: Bearing, start: np.ndarray | 
     """
     row, given = row_of_packing(settings.method), settings.given
     device = {key: given[key] for key in ON_DEVICE if key in given}
-    if row is None:
+    if row is None:  # the minimum is found directly, on the CPU
         if device.get("arch", "cpu") not in ("cpu", "auto"):
             raise DeviceError("the least power of a packing can only be found on the CPU; use --arch cpu")
         if threads := device.get("threads"):
@@ -379,7 +370,7 @@ def solved_packing(settings: RunSettings, packing: Bearing, start: np.ndarray | 
             )
         options = dict(settings.owned)
         found = least_power(packing, settings.method, StopRule.of(settings), options=options, **others)
-    else:
+    else:  # a dynamics or a descent makes steps from initial spins
         method = row(**{key: value for key in options_of(row) if (value := getattr(settings, key)) is not None})
         if device:
             runtime.start(**device)

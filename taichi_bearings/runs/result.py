@@ -52,12 +52,14 @@ TABLED = (
 class Result:
     """An answer: what was solved, how it ended, and spins, slips and forces with what is proven of them.
 
-    It is the same whether it was solved just now or read from a file. A single sample has numbers and arrays without an
-    axis of replicas. Of several samples, (R,) are arrays with one number each, and every array has a leading axis R;
-    `result[0]` is one of them alone, and `for one in result` goes through all. N is the lattice, such as (nx, ny, nz),
-    or the number of spheres of a packing. What lies on contacts is a tuple with one array for each axis, x, y(, z), of
-    the shapes of `scene.coefficients`; for packings of E contacts it is one array (E,). Contacts between driven spheres
-    and absent ones are left out of `power`. Arrays are read-only.
+    It is the same whether it was solved just now or read from a file. Arrays are read-only.
+
+    * With a single sample arrays have no axis of samples. With R samples each number is an array (R,), and each array
+      begins with an axis R; `result[0]` is one sample alone, and `for one in result` goes through all.
+    * N is the lattice, such as (nx, ny, nz), or the number of spheres of a packing.
+    * What lies on contacts is a tuple with one array for each axis, x, y(, z), of the shapes of `scene.coefficients`;
+      for packings of E contacts it is one array (E,).
+    * Contacts between driven spheres and absent ones are left out of `power`.
 
     Attributes
     ----------
@@ -233,9 +235,10 @@ class Result:
 
     @property
     def snapshots(self) -> Snapshots | None:
-        """Spins of a dynamics at the S times that were asked for: `time`, (snapshots S,), and `spin`, (S, spheres *N),
-        in 3D (snapshots S, *N, 3), 1/time; with several samples (R samples, S, ...), but one `time` if it is the same
-        for all. None if no times were asked for.
+        """Spins of a dynamics at the S times that were asked for; None if no times were asked for.
+
+        time : (snapshots S,); with several samples (samples R, S) unless all have the same times.
+        spin : (S, spheres *N), in 3D (S, *N, 3), 1/time; with several samples (R, S, ...).
         """
         kept = self.solution.snapshots
         return None if kept is None else Snapshots(kept.time.T, self._of_samples(np.moveaxis(kept.spin, 1, 0)))

@@ -174,6 +174,7 @@ def resume(
     with in_use(path):
         scene, arrays = read_checkpoint(path)
         refuse_unloaded(parse_toml(scene), checkpoint_of(path))
+        # `stored` names files as in the directory, where they stay; `settings` with their paths, to read them
         stored = RunSettings.from_mapping(parse_toml(scene) | changes, "the options")
         if stored.checkpoint_every is None:
             raise FileError(f"{checkpoint_of(path)} is damaged or was changed: its scene names no checkpoint_every")

@@ -81,22 +81,23 @@ def run_directory(path: Path, force: bool = False) -> Iterator[RunDirectory]:
         path = real_path(path)
     if not path.name:
         raise FileError(f"output directory {path} is the root of the file system; choose another --out")
-    made = [folder for folder in path.parents if not folder.exists()]  # nearest first
+    missing_parents = [folder for folder in path.parents if not folder.exists()]  # nearest first
     with contextlib.ExitStack() as stack:
-        stack.callback(_remove_empty, made)
+        stack.callback(_remove_empty, missing_parents)
         with writing(f"output directory {path}"):
             path.parent.mkdir(parents=True, exist_ok=True)
             held = stack.enter_context(locked(path.with_name(f".{path.name}.in-use"), f"output directory {path}"))
             tidy(path.parent, ours=path.name if held else "")
+            # a run that is to be replaced is locked as well, so that no process works in it
             if os.path.lexists(path):
                 if not force:
                     raise FileError(f"output directory {path} already exists; choose another --out or add --force")
                 if not is_run(path) and not (path.is_dir() and not any(path.iterdir())):
                     raise FileError(f"{path} is not a run directory; --force replaces only run directories")
-                in_its_use = stack.enter_context(contextlib.ExitStack())
-                in_its_use.enter_context(in_use(path))
+                lock_inside = stack.enter_context(contextlib.ExitStack())
+                lock_inside.enter_context(in_use(path))
                 if sys.platform == "win32":  # where nothing can be renamed while a file in it is open
-                    in_its_use.close()
+                    lock_inside.close()
             standing = path.stat() if path.exists() else None
             partial = path.with_name(f".{path.name}.partial-{os.getpid()}-{secrets.token_hex(3)}")
             stack.callback(leaving.forget_temporary, partial)
@@ -132,9 +133,9 @@ def tidy(parent: Path, ours: str = "") -> None:
     A directory that was just being replaced gets its name back. What a running process has locked stays.
 
     parent : the folder.
-    ours : a name in it whose lock this process itself holds.
+    ours : name of a file or directory in it whose lock this process itself holds; empty for none.
     """
-    # locks and folders, by the name that they belong to; hidden files are removed unless another process writes them
+    # hidden files are removed unless another process writes them; locks and hidden folders wait, by their name
     found: dict[str, list[re.Match[str]]] = {}
     for match in filter(None, map(LEFTOVER.fullmatch, os.listdir(parent))):
         if match["kind"] == "in-use" or (parent / match[0]).is_dir():
@@ -142,13 +143,14 @@ def tidy(parent: Path, ours: str = "") -> None:
         else:
             with contextlib.suppress(OSError):
                 remove_leftover(parent / match[0])
+    # they are touched under the lock of their name alone
     for name, leftovers in found.items():
         with contextlib.suppress(OSError, FileError), contextlib.ExitStack() as stack:
             held = name == ours or stack.enter_context(locked(parent / f".{name}.in-use", name))
             for match in leftovers if held else ():
                 left = parent / match[0]
                 if match["old"] and not os.path.lexists(parent / name) and not left.is_symlink():
-                    left.rename(parent / name)
+                    left.rename(parent / name)  # :func:`exchange` was killed between its moves
                 elif match["kind"] != "in-use":
                     remove(left)
 

@@ -216,8 +216,8 @@ class _Sets:
         if not fits or stored.dtype.kind not in "fiub":
             words = f"it has {stored.dtype} of shape {stored.shape}, and must hold finite numbers of shape {shape}"
             raise FileError(f"{name} in {self.path} is damaged: {words}")
-        is_whole = stored.dtype.kind == "f" or WHOLE_SETS.search(name)
-        values = np.asarray(stored[()] if is_whole else stored[()].astype(np.float64))
+        keeps_type = stored.dtype.kind == "f" or WHOLE_SETS.search(name)
+        values = np.asarray(stored[()] if keeps_type else stored[()].astype(np.float64))
         return values if self.head else values[None]
 
     def by_axis(self, name: str, *parts: int) -> tuple[np.ndarray, ...]:
@@ -297,10 +297,10 @@ class _Sets:
 
 
 def _read(path: Path, file: h5py.File, attributes: Json, settings: RunSettings) -> Solution:
-    """Return the solution in an opened run.h5, with an axis of samples; its status is that of the first sample that is
-    not certified, if there is one.
+    """Return the solution in an opened run.h5, with an axis of samples. Its status is "certified" if all samples are,
+    else that of the first other one.
 
-    path, attributes : path and attributes of the file `file`.
+    path, file, attributes : path of the file, the opened file, and its attributes.
     settings : settings of the run.
     """
     scene, sets = (_packings_in if "packing" in file else _lattice_in)(path, file, attributes, settings)
@@ -315,6 +315,7 @@ def _read(path: Path, file: h5py.File, attributes: Json, settings: RunSettings) 
     own: dict[str, np.ndarray] = {"status": np.broadcast_to(np.array(ended, dtype=object), scene.replicas)}
     if sets.are_apart:
         own["iterations"] = number("iterations").astype(np.int64)
+    # findings are those that the file names; files that name none may have any
     said = attributes.get("findings", FINDINGS), SAID_OF_PACKINGS if sets.lattice is None else ()
     findings = {name: number(name) for name in dict.fromkeys(chain(*said)) if name in attributes}
     findings.pop("tied_contacts", None)  # of layout 1
@@ -381,8 +382,8 @@ def _of_layout_1(
     1. There the state 2 also stood for tied contacts, and for contacts at their friction limit that slip at no minimum.
 
     state : (R, E), the states in the file.
-    proven : (R, E), a code: the state that is proven of all minima, 0, 1 or 4; 2 if none is; 3 for contacts that take
-        no part. None in files that have no such data set.
+    proven : (R, E), the state that is proven of all minima: 0 slipless, 1 slipping, 4 tied; 2 if none is; 3 for
+        contacts that take no part. None in files that have no such data set.
     all_proven : (R,), used if `proven` is None: True for samples all of whose decided states are proven.
     is_dynamics : True for a dynamics, whose states are those of its motion and stay as they are.
     """
@@ -390,7 +391,7 @@ def _of_layout_1(
     if proven is None:
         return state, ~acts | (all_proven[:, None] & (state != ContactState.UNDECIDED))
     known, is_named = proven != ContactState.UNDECIDED, state != ContactState.UNDECIDED
-    if not is_dynamics:  # which has states of its own motion
+    if not is_dynamics:
         state = np.where(acts & ~is_named & known, proven, state)
     return state, ~acts | (known & (state == proven))
 
@@ -413,6 +414,7 @@ def _lattice_in(path: Path, file: h5py.File, attributes: Json, settings: RunSett
     seeds = tuple(int(seed) for seed in np.atleast_1d(attributes["seed"]))
     given = {key: getattr(settings, key) for key in ("law", *Scene.PARAMETERS)}
     scene = Scene(sets.by_axis("coefficient/{}"), viscosity=viscosity, seeds=seeds, **given)
+    # coefficients count as drawn unless the settings name a file of them; a file of the user is named, too
     drawn = {key: getattr(settings, key) for key in scene.DRAWN} if settings.coefficients is None else {}
     name = Path(str(attributes.get("coefficients", ""))).name
     if settings.coefficients is not None and name not in OWN_COEFFICIENTS:

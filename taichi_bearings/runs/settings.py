@@ -117,9 +117,8 @@ class RunSettings:
 
     The options of methods are attributes as well.
 
-    owned : names and values of those that are stored: the options of the method, and others that differ from their
-        defaults. With the method auto, which names none, these are the options that were given, and once the method is
-        chosen those of it.
+    owned : names and values of the options of methods that are stored: all options of the method, and others that
+        differ from their defaults. The method auto has no options of its own; all that were given are stored then.
     """
 
     shape: tuple[int, ...] = option((32, 32, 32), SHAPE, "Numbers of spheres along each axis, the height last.")
@@ -314,7 +313,7 @@ class RunSettings:
         values = {key: item.read(key, given.get(key, item.default)) for key, item in table.items()}
         if unknown := given.keys() - table.keys():
             raise TypeError(f"a run has no setting {', '.join(sorted(unknown))}")
-        # stored are values that differ from their defaults, and all options of the method; of "auto" those given
+        # stored are values that differ from their defaults, and all options of the method; for "auto" those given
         method = values["method"]
         kept = {key for key, value in values.items() if value != table[key].default}
         kept |= options_of(METHODS[method]).keys() if method in METHODS else given.keys()
@@ -322,10 +321,10 @@ class RunSettings:
 
     @classmethod
     def _owned(cls, values: Mapping[str, Any], kept: Collection[str]) -> tuple[tuple[str, Any], ...]:
-        """Return names and values of options of methods, in the order of `values`.
+        """Return names and values of the options of methods that are stored, in the order of `values`.
 
         values : all settings by key.
-        kept : keys of which those that are options of methods are returned.
+        kept : keys that are stored; those of settings of every run are left out here.
         """
         return tuple((key, values[key]) for key in values if key in kept and key not in cls.__dataclass_fields__)
 
@@ -353,7 +352,8 @@ class RunSettings:
         source : where the pairs come from, for messages.
 
         Raises InputError for an unknown key, with the nearest known one. A file of coefficients determines the shape,
-        and the periodic sides unless some are given.
+        and the periodic sides unless some are given; a packing file with viscosity the law coulomb-viscous unless a law
+        is given.
         """
         for key in values:
             refuse_unknown(key, source)

@@ -85,7 +85,7 @@ class _Stored:
     replica: int | None
 
     def drawn(self) -> Drawn:
-        """Return all that is shown of the structure; raise ValueError or KeyError if the file holds something else."""
+        """Return what figures and exports show of the stored structure; raise ValueError or KeyError for damage."""
         spheres, contacts = self._columns()
         domain = spheres["domain"].values
         count = self.structure.whole.spheres
@@ -134,18 +134,21 @@ class _Stored:
         """
         scene, shape, count = self.structure.scene, self.structure.whole.shape, int(domain.max()) + 1
         axes = scene.minimum_spin_axes
-        # staggered spins; those of the top plane, at each sphere; and the mean of each domain
+        # staggered spins of all spheres; at each sphere those of the top plane; and their mean in each domain
         spins = scene.staggered_spin(self.structure.spin[None], axes).reshape(len(axes), *shape)
-        above = np.broadcast_to(spins[..., -1:], spins.shape).reshape(len(axes), -1)
-        found, first = np.unique(domain, return_index=True)
+        of_top = np.broadcast_to(spins[..., -1:], spins.shape).reshape(len(axes), -1)
+        numbers, first_sphere = np.unique(domain, return_index=True)
+        # `lock` says to which driven planes slipless contacts join a domain, `labels` the domains in each component
         lock = self.get("domains/lock", None, len(axes))[:count]
         spheres = np.bincount(domain)
-        mean = np.stack([np.bincount(domain, values) / spheres for values in spins.reshape(len(axes), -1)], axis=1)
-        if len(found) != count or len(lock) != count or lock.min() < 0 or lock.max() > Lock.BOTH:
+        mean_spin = np.stack([np.bincount(domain, values) / spheres for values in spins.reshape(len(axes), -1)], axis=1)
+        if len(numbers) != count or len(lock) != count or lock.min() < 0 or lock.max() > Lock.BOTH:
             raise ValueError("the data set domains/lock must have one row for each domain in domains/labels")
         names = [f"component_domain/{AXES[k]}" for k in axes]
         labels = np.stack([self.get(name, *shape) for name in names])
-        return RigidDomains(axes, labels, domain.reshape(shape), spheres, mean, 0.0, lock, above[:, first].T)
+        return RigidDomains(
+            axes, labels, domain.reshape(shape), spheres, mean_spin, 0.0, lock, of_top[:, first_sphere].T
+        )
 
     def _path(self) -> np.ndarray:
         """Return the numbers (n,) of the n spheres along the stored path."""

@@ -76,8 +76,8 @@ def columns_of(structure: Structure) -> tuple[dict[str, Finding], dict[str, Find
 
 
 def names_in_file(is_lattice: bool) -> tuple[dict[str, str], dict[str, str]]:
-    """Return the names in the group /analysis of the columns of spheres, and of those of contacts, by column. On a
-    lattice a column of contacts is a group with a data set for each axis.
+    """Return two dictionaries, for columns of spheres and for columns of contacts: by the name of a column its name in
+    the group /analysis. On a lattice a column of contacts is a group with a data set for each axis.
     """
     spheres, contacts = ([row.name for row in rows] for rows in (ON_SPHERES, ON_CONTACTS))
     of_spheres = "{}/sphere" if is_lattice else "sphere_{}"  # of columns that contacts have, too

@@ -41,8 +41,11 @@ AMPLITUDE_ERROR = 1e-13  # relative error of an amplitude that is found by repea
 
 
 def refuse_driven(settings: RunSettings, method: type[MethodOptions]) -> None:
-    """Raise InputError if settings have a torque and also impose a motion that it leaves free: `spin_top`; `bottom`
-    where `top` is not given or zero; any motion of the bottom under a law that does not allow both planes to turn.
+    """Raise InputError if settings have a torque and also impose a motion that is not allowed beside it:
+
+    * `spin_top`, as the torque and `top` alone say how the top moves;
+    * `bottom`, unless `top` is given and not zero;
+    * a motion of the bottom, under a law with which only the top may turn.
 
     settings : settings of the run; without a torque nothing is refused.
     method : class of the method that the settings name; nothing is refused for dynamics, which have no torque and say
@@ -127,11 +130,7 @@ def under_torque(solution: Solution, torque: float, tolerance: float, solve: Sol
 
 
 def _torque_findings(solution: Solution, torque: float, tolerance: float, solve: Solve) -> dict[str, np.ndarray]:
-    """Return by name four findings on a torque on the top, (samples R,) each. `yields` is True if friction is proven
-    not to hold the torque. `yield_torque` and `yield_torque_lower_bound`, force*length, are proven bounds on the torque
-    that friction holds. `amplitude` is the factor by which the imposed motion is multiplied, with the sign of the
-    torque: 1 is the imposed motion, 0 means that the torque is held; not-a-number if nothing limits the motion, or if
-    the bounds do not decide or are further apart than the tolerance.
+    """Return by name the four findings on a torque on the top that :func:`under_torque` explains, (samples R,) each.
 
     solution : the answer for the imposed motion of the top.
     torque : force*length, along the imposed motion of the top; negative against it.
@@ -184,6 +183,7 @@ def _findings_above_driven_bottom(scene: Bearing, torque: float, solve: Solve) -
     solve : function that solves another scene or packing in the same way.
     """
     top, bottom = scene.top_and_bottom
+    # bounds on the slope of the potential between the strengths 0 and `step`, as the head of this file explains
     step = HELD_TURN * bottom / abs(top)
     still, moving = (solve(scene.with_top(strength)) for strength in (0.0, step if torque >= 0 else -step))
     high = np.nextafter((moving.objective * SURELY - still.bound_of_all_spins) / step, np.inf)
@@ -197,9 +197,9 @@ def _strength(scene: Bearing, torque: float, least: float, solve: Solve) -> floa
     """Return the factor a, above 0, such that a torque keeps the top moving with a times the imposed motion; NaN if a
     solve misses its tolerance.
 
-    `least` comes from a bound on the torque P(a) / a, where P is the power at a times the imposed motion. Let P_f be
-    the least power of friction alone, and Q the power that viscosity adds in that motion. The potential is convex, and
-    at most a P_f + a^2 Q / 2; so the torque is at most P_f + 2 a Q.
+    `least` comes from a bound on the torque, the slope of the least potential Phi(a) at a times the imposed motion. Let
+    P_f be the least power of friction alone, and Q the power that viscosity adds in that motion. Then Phi(a) lies
+    between a P_f and a P_f + a^2 Q / 2. It is convex, so its slope is at most (Phi(2 a) - Phi(a)) / a <= P_f + 2 a Q.
 
     scene : one sample.
     torque : size of the torque, force*length, above what friction holds.

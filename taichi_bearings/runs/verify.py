@@ -154,7 +154,7 @@ class NewProof:
         if "cut_is_unique" in stored.findings:  # slips of one component are unique where the minimum cut is
             unique = [s.unique for s in new.states]
             pairs = zip(unique, stored.findings["cut_is_unique"], strict=True)
-            said["cut_is_unique"] = np.array([so_said if proven is None else proven for proven, so_said in pairs])
+            said["cut_is_unique"] = np.array([in_file if anew is None else anew for anew, in_file in pairs])
         follows_motion = "time" in stored.history
         found = replace(
             stored,
@@ -184,7 +184,7 @@ class NewProof:
 
         power, upper_bound, lower_bound, largest_balance_residual : energy/time, and force * length for the last.
         gap : relative gap.
-        balanced : True if what torques were left over lowers the bound by no more than TORQUE_COST.
+        balanced : True if the torques that are left over lower the bound by no more than TORQUE_COST.
         inside_discs : True if all forces are within the friction limit.
         states_proven : numbers of contacts by kind.
         minimum_is_unique : True, False or None.
@@ -238,12 +238,13 @@ class NewProof:
         """
         stored, attributes = self.run.solution, self.run.attributes
         if self.judgement_or_none is None:
-            certain = stored.states_proven.any() or (stored.lower_bound > 0).any()
-            if certain or {Status.CERTIFIED, Status.RESTRICTED} & set(stored.own["status"]):
+            claims_proof = stored.states_proven.any() or (stored.lower_bound > 0).any()
+            if claims_proof or {Status.CERTIFIED, Status.RESTRICTED} & set(stored.own["status"]):
                 yield f"{NOT_PROVABLE}: what is said of it is not proven"
             return
         yield from self._contacts()
         yield from _driving_contradictions(stored)
+        # numbers are compared if they are in the file; in layout 1 some have another meaning
         left_out = OF_STATES if attributes["schema_version"] == 1 else set()
         numbers = numbers_of(replace(self.run, solution=self.solution))
         held = {name: value for name, value in numbers.items() if name not in left_out}

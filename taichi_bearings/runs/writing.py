@@ -42,17 +42,19 @@ def versions() -> dict[str, str]:
 def self_contained(
     settings: RunSettings, scene: Bearing, spin: np.ndarray | None, folder: Path, name: str = "run.h5"
 ) -> RunSettings:
-    """Return settings that name only files in the run directory itself, so that it can be moved and run again.
+    """Return settings that name only files in the run directory itself, so that it can be moved and run again. Arrays
+    of other files are written into it.
 
     settings : settings of the run, which may name files elsewhere.
     scene : what is solved.
     spin : initial spins, (samples R, spheres *N) or (R, *N, 3), 1/time; not used if the settings name them, None if
         only that name is known.
     folder : the run directory, to which the files are written.
-    name : name of the file that will hold coefficients and packing. In runs with checkpoints other files hold them, and
-        are written now, as the run may be resumed before there is a run.h5.
+    name : name of the file that the caller writes with coefficients or packing. With checkpoints they get a file of
+        their own now, as the run may be resumed before there is a run.h5.
     """
     with_file, one = settings.checkpoint_every is not None, scene.replicas == 1
+    # of a lattice coefficients are written if they were given, of a packing all arrays
     if isinstance(scene, Scene):
         if settings.coefficients is not None:
             name = "coefficients.npz" if with_file else name
