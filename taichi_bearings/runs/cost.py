@@ -176,8 +176,8 @@ def cost_of_packings(settings: RunSettings, row: type[MethodOptions], scene: Bea
     if row.step_seconds((spheres, 1, 1)) is not None and settings.method != "auto":
         steps = settings.iterations
         if row.is_dynamics and settings.duration is not None and (length := settings.values["time_step"]):
-            needed = int(np.ceil(settings.duration / length))
-            steps = needed if steps is None else min(needed, steps)
+            in_duration = int(np.ceil(settings.duration / length))
+            steps = in_duration if steps is None else min(in_duration, steps)
         step = STEP_SECONDS * spheres
         seconds = _seconds_in_all(settings, PROCESS_SECONDS, None if steps is None else steps * step * count)
         return Cost(row.name, seconds, step, steps, PROCESS_BYTES + STEPPED_BYTES * spheres)
