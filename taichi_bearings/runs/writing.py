@@ -47,8 +47,8 @@ def self_contained(
 
     settings : settings of the run, which may name files elsewhere.
     scene : what is solved.
-    spin : initial spins, (samples R, spheres *N) or (R, *N, 3), 1/time; not used if the settings name them, None if
-        only that name is known.
+    spin : initial spins, (samples R, spheres *N) or (R, *N, 3), 1/time; written unless the settings have a name for
+        them, such as "linear". None if only this name is known.
     folder : the run directory, to which the files are written.
     name : name of the file that the caller writes with coefficients or packing. With checkpoints they get a file of
         their own now, as the run may be resumed before there is a run.h5.
