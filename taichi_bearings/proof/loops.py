@@ -195,10 +195,10 @@ class Piece:
     def of(cls, bounds: FrictionBounds, contacts: np.ndarray, unknowns: np.ndarray) -> Piece:
         """Return bounds on the friction of q connected contacts at every minimum.
 
-        Let f be the change of their friction, from the given one to that at a minimum. It is split into friction L c
-        along m loops, which exerts no torque, and a rest, which follows from the torques of f. These torques cancel
-        those of the changes at the other contacts of the spheres, so they have bounds. The friction limits then confine
-        the number c of each loop to an interval.
+        The change f of their friction, from the given one to that at a minimum, is the sum of friction L c along m
+        loops, which exerts no torque, and a rest that follows from the torques of f. These torques cancel those of the
+        changes at the other contacts of the spheres, which have bounds; so the rest has bounds. The friction limits
+        then confine the number c of each loop to an interval.
 
         bounds : what is known so far of the friction of all contacts.
         contacts : (q,), indices of these contacts.
@@ -209,20 +209,20 @@ class Piece:
         is_other = bounds.network.counts & in_piece[bounds.network.graph.contact].any(axis=0)
         is_other[contacts] = False
         others = np.flatnonzero(is_other)
-        # Friction along loops, and the inverse by which the rest of f follows from torques. Rounding of torques: 4 EPS
-        # for each of the `terms` terms of the longest sum. Rounding of f: the error of the splitting, and 16 EPS, as
-        # the tangents are orthonormal up to rounding only.
+        # Friction L along loops, and the inverse Y by which the rest of f follows from torques (step 1 of the proof).
         loops, inverse = _loops_and_inverse(rows)
+        # Rounding of torques: 4 EPS for each of the `terms` terms of the longest sum. Rounding of f: the error of the
+        # splitting, and 16 EPS, as the tangents are orthonormal up to rounding only.
         terms = 2 * (len(contacts) + len(others)) + len(unknowns) + 64
         torque = (bounds.left_over + 4 * terms * EPS * bounds.sum_at_spheres(most_change))[bounds.sphere[unknowns]]
         by_rounding = np.abs(inverse).T @ torque + _splitting_error(rows, loops, inverse).T @ np.repeat(
             most_change[contacts], 2
         )
         by_rounding = weighted_lengths(by_rounding[:, None]) + 16 * EPS * most_change[contacts]
-        # The torques of f are minus those of the changes on the other contacts of these spheres.
+        # The torques of f are minus those of the changes on the other contacts of these spheres (step 2).
         by_others = -inverse.T @ bounds.rows[tangent_rows(others)][:, unknowns].toarray().T
         most_off_loops = (block_norms(by_others) @ most_change[others] + by_rounding) * UP
-        # Intervals of the friction c along loops, and the bound on the size of optimal friction.
+        # Intervals of the friction c along loops (step 3), and the bound on the size of optimal friction (step 4).
         tangents, force = bounds.tangents[contacts], bounds.friction[contacts]
         middle, half_length = _loop_intervals(
             loops, np.einsum("cak,ck->ca", tangents, force), bounds.most_friction[contacts] + most_off_loops

@@ -129,10 +129,8 @@ class CutGraph:
         with i above and j below, is farther from its limit than on any lightest cut.
 
         margin : (q,), for each edge the most that friction may miss of its limit mu F_n if the edge crosses a lightest
-            cut: (power less its proven lower bound) / (difference of the two imposed spins times radius that the cut
-            separates). The first is that of the sample of the edge, and twice that if spheres have two nodes; the
-            second is that of its connected part.
-        """
+            cut: excess / step. The excess of its sample is the power less its proven lower bound (twice that if spheres
+            have two nodes); the step is the difference of the two imposed values of u that the cut separates."""
         size, not_up, not_down = len(self.label), self.up > margin, self.down > margin
         tail = np.append(self.high[not_up], self.low[not_down])
         head = np.append(self.low[not_up], self.high[not_down])
@@ -179,9 +177,9 @@ def states_by_cuts(bounds: Bounds, k: int) -> np.ndarray:
 def _at_one_step(
     bounds: Bounds, graph: CutGraph, begin: np.ndarray, least: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return three masks (m,) of m contacts: those that are in no lightest cut of one step between imposed values, that
-    is between its two sides; those that are in all; and those that are in some, but not in all. Where nothing is known
-    all three are False. With two nodes for each sphere a contact is in a cut if one of its two edges is.
+    """Return three masks (m,) of m contacts: True for a contact that is in no lightest cut of one step between imposed
+    values; in every one; in some, but not in every one. Where nothing is known all three are False. A contact is in a
+    cut if its edge (with two nodes for each sphere: one of its two edges) has its ends on different sides.
 
     bounds : the network, its friction, and the excess of each sample.
     graph : the graph with its m contacts.
@@ -216,8 +214,9 @@ def _at_one_step(
 def _in_whole_numbers(
     bounds: Bounds, graph: CutGraph, together: np.ndarray, above: np.ndarray, below: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return which contacts belong to lightest cuts, decided in whole numbers and so exactly. This is for cuts that
-    have (nearly) the same weight.
+    """Decide which contacts belong to lightest cuts, in whole numbers and so exactly, where cuts have (nearly) the same
+    weight. Return the indices (q,) of the contacts that were decided; the mask (q,) of those that are in some lightest
+    cut (with one of their edges); and the mask (q,) of those that are in every one.
 
     A cut divides the nodes into two sides; its weight is the sum of the friction limits of the edges between them. Only
     contacts are decided with an edge whose ends may be on different sides. Samples are left out whose excess, power
@@ -226,62 +225,62 @@ def _in_whole_numbers(
     bounds : the network, its friction, and the excess of each sample.
     graph : the graph with its m contacts, each with one edge or, with two nodes for each sphere, with two.
     together : (nodes,), labels, equal for nodes that are on one side of every lightest cut.
-    above, below : (nodes,), masks of the nodes that are surely above, surely below every lightest cut.
-
-    Returns the indices (q,) of the contacts that were decided; the mask (q,) of those that are in some lightest cut
-    (with one of their edges); and the mask (q,) of those that are in all of them."""
+    above, below : (nodes,), masks of the nodes that are surely above, surely below every lightest cut."""
     # Nodes that are on one side of every lightest cut become one: `edges` are edges between these.
-    network, place = bounds.network, np.unique(together, return_index=True)[1]  # a node of each label
-    above, between = above[place], ~(above | below)[place]
+    network, node = bounds.network, np.unique(together, return_index=True)[1]  # a node of each label
+    above, between = above[node], ~(above | below)[node]
     edges = together[np.stack([graph.low, graph.high])].reshape(2, -1, len(graph.own))  # (both ends, copies, contacts)
-    asked = np.flatnonzero((between[edges].any(axis=0) & (edges[0] != edges[1])).any(axis=0))
-    sample = network.sample_of(graph.own[asked])
+    chosen = np.flatnonzero((between[edges].any(axis=0) & (edges[0] != edges[1])).any(axis=0))
+    sample = network.sample_of(graph.own[chosen])
     is_small = np.bincount(sample, minlength=network.count) <= MOST_COUNTED
     can_be_tried = (bounds.excess <= NEARLY_LEAST * bounds.upper) & is_small
-    asked = asked[can_be_tried[sample]]
+    chosen = chosen[can_be_tried[sample]]
     # Friction limits as whole multiples of one unit are the weights of the edges.
-    multiples = [whole_numbers(factor[graph.own[asked]]) for factor in network.factors]
-    weight, edges = prod(multiples, start=np.ones(len(asked), dtype=object)), edges[:, :, asked]
+    multiples = [whole_numbers(factor[graph.own[chosen]]) for factor in network.factors]
+    weight, edges = prod(multiples, start=np.ones(len(chosen), dtype=object)), edges[:, :, chosen]
     copies = edges.shape[1]
-    cuts, place = cuts_between(edges.reshape(2, -1), np.tile(weight, copies), above, between)
+    # `merged` is the node, in a smaller graph, of each label; nodes whose side is known are merged there.
+    cuts, merged = cuts_between(edges.reshape(2, -1), np.tile(weight, copies), above, between)
     some, every = (np.any(list(of.reshape(copies, -1)), axis=0) for of in (cuts.some, cuts.every))
     if graph.is_double:
         left = np.flatnonzero(some & ~every)
         every[left], is_known = _in_either_copy(
-            cuts.residual, cuts.together, cuts.near, cuts.far, place[edges[:, :, left]]
+            cuts.residual, cuts.together, cuts.near, cuts.far, merged[edges[:, :, left]]
         )
-        kept = np.delete(np.arange(len(asked)), left[~is_known])
-        asked, some, every = asked[kept], some[kept], every[kept]
-    return asked, some, every
+        kept = np.delete(np.arange(len(chosen)), left[~is_known])
+        chosen, some, every = chosen[kept], some[kept], every[kept]
+    return chosen, some, every
 
 
 def _in_either_copy(
     follows: sparse.csr_array, together: np.ndarray, begin: np.ndarray, end: np.ndarray, edges: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mask (n,) of those of n contacts for which it follows that every lightest cut has at least one of
-    their two edges between its sides, where each sphere has two nodes; and the mask (n,) of those for which all that
-    follows was looked at (all but the searches beyond MOST_SOUGHT).
+    """Return two masks (n,) about n contacts of a graph in which each contact has two edges: True if every lightest cut
+    is proven to have at least one of the two between its sides; and True if that mask is certain either way, as no more
+    than MOST_SOUGHT searches were needed.
 
-    Suppose that a lightest cut has neither of both edges, p - q and r - s, between its sides. If p is on the first side
-    then q is there, too, and all that follows from q. If r follows from q, then s is there. So if p is known to be on
-    the first side and s on the second one, there is no such cut. Nothing else can exclude it: a path from the first
-    side to the second one that uses each edge at most once is one of these eight (either edge first, either end of
-    each), or it uses one edge alone, which the caller has looked at.
+    Suppose that a lightest cut has neither edge, p - q or r - s, between its sides. With p on the first side q is there
+    as well, and so is all that follows from q. If r follows from q, then r and s are there. So there is no such cut if
+    p is surely on the first side, s is surely on the second one, and r follows from q. The loop tries all eight names
+    of the four nodes: either edge first, either end of each. Nothing else excludes such a cut: a path from the first
+    side to the second one that uses each edge at most once is one of these, or it uses one edge alone, which the caller
+    has looked at.
 
-    follows : directed graph of the nodes: the nodes that a path leads to from one on the first side are there, too.
+    follows : directed graph of the nodes: if a node is on the first side, so are all to which a path leads from it.
     together : (nodes,), labels, equal for nodes that reach each other.
     begin, end : (nodes,), masks of the nodes that are surely on the first side, surely on the second one.
     edges : (2, 2, n), nodes at both ends (first axis) of both edges (second axis) of each contact."""
     found, is_known = np.zeros(edges.shape[2], dtype=bool), np.ones(edges.shape[2], dtype=bool)
     for copy, near, far in product((0, 1), repeat=3):
         p, q, r, s = edges[near, copy], edges[1 - near, copy], edges[far, 1 - copy], edges[1 - far, 1 - copy]
-        asked = np.flatnonzero(~found & begin[p] & end[s])
-        found[asked] = together[q[asked]] == together[r[asked]]
-        asked = asked[~found[asked]]
-        sources = np.unique(q[asked])
-        is_known[asked[np.isin(q[asked], sources[MOST_SOUGHT:])]] = False
+        left = np.flatnonzero(~found & begin[p] & end[s])
+        found[left] = together[q[left]] == together[r[left]]
+        left = left[~found[left]]
+        # One search from each node q finds all nodes that follow from it.
+        sources = np.unique(q[left])
+        is_known[left[np.isin(q[left], sources[MOST_SOUGHT:])]] = False
         for source in sources[:MOST_SOUGHT]:
-            some = asked[q[asked] == source]
+            some = left[q[left] == source]
             found[some] = np.isin(r[some], breadth_first_order(follows, source, return_predecessors=False))
     return found, found | is_known
 

@@ -56,7 +56,8 @@ def spheres_nearby(ends: np.ndarray, inside: np.ndarray, start: np.ndarray, most
 @np.errstate(all="ignore")  # a step that is not finite ends the search
 def friction_within_limits(rows: np.ndarray, friction: np.ndarray, limit: np.ndarray, load: np.ndarray) -> np.ndarray:
     """Return friction G, (q, 2), with M^T (G - F) = -load, that is below the limit of every contact if such friction is
-    found; else the last G that the search came to.
+    found; else the last G of the search. Steps of Newton's method lower the sum over contacts of -log s, with s = t^2 -
+    |G / w|^2 and a ratio t that falls towards the largest |G / w|.
 
     rows : M, (2 q, n), slips of q contacts along two tangents from n unknown spin components.
     friction : F, (q, 2), components along the tangents, force.
@@ -65,7 +66,7 @@ def friction_within_limits(rows: np.ndarray, friction: np.ndarray, limit: np.nda
     """
     matrix = rows * np.repeat(limit, 2)[:, None]  # G / w is sought, so that all limits are 1
     found = friction / limit[:, None]
-    # First the smallest change that balances the load; then Newton steps that keep these torques.
+    # First the smallest change that balances the load; then steps that keep these torques. `ratio` is t.
     found = found + _step(matrix, np.broadcast_to(np.eye(2), (len(limit), 2, 2)), np.zeros_like(found), load)
     largest = float(np.linalg.norm(found, axis=1).max(initial=0.0))
     ratio, length = START * largest, 1.0
@@ -74,7 +75,7 @@ def friction_within_limits(rows: np.ndarray, friction: np.ndarray, limit: np.nda
             break
         size = (found**2).sum(axis=1)
         barrier = ratio**2 - size
-        # Gradient 2 G / s, and the inverse of the Hessian 2 / s + 4 G G^T / s^2 of each contact.
+        # Gradient 2 G / s, and the inverse of the Hessian 2 / s + 4 G G^T / s^2 of each contact; s is `barrier`.
         slope = 2 * found / barrier[:, None]
         outer = found[:, :, None] * found[:, None, :] / (barrier + 2 * size)[:, None, None]
         step = _step(matrix, barrier[:, None, None] * (np.eye(2) / 2 - outer), slope, np.zeros_like(load))

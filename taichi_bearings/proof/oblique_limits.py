@@ -50,15 +50,14 @@ from taichi_bearings.proof.pulls import Pulls
 
 @dataclass(frozen=True)
 class Between:
-    """A pair of domains, one of each spin component, which slipping contacts and oblique ones pull with the same
-    friction in opposite directions. (Oblique contacts rest at their friction limit, with friction along both
-    components. A domain is a group of spheres that turn as one in a component.)
+    """A pair of domains (groups of spheres that turn as one in a component), one of each spin component, in balance
+    between two sets of contacts that pull it in opposite directions, with the same total friction limit. Those of the
+    second set are *oblique*: they rest at their friction limit, with friction along both components.
 
     sphere : a sphere of both domains.
-    contacts : (q,), the contacts of both sets, as indices in the arrays of :class:`Pulls`.
-    guide : a slipping contact, as such an index, whose slip has the direction in which the pair is pulled.
-    way : +1 or -1: the oblique contacts begin to slip if the pair moves by `way` times a vector along the slip of
-        `guide`."""
+    contacts : (q,), indices of the contacts of both sets in the arrays of :class:`Pulls`.
+    guide : index of a slipping contact there; all these forces are along its slip.
+    way : +1 or -1. The oblique contacts begin to slip if the pair moves along `way` times the slip of `guide`."""
 
     sphere: int
     contacts: np.ndarray
@@ -69,12 +68,12 @@ class Between:
 @dataclass(frozen=True)
 class ObliqueLimits:
     """The friction of all oblique contacts of one sample: those that rest at their friction limit, with friction along
-    both components.
+    both components. It is mu F_n times `way` times the unit vector along the slip of a slipping contact, its *guide*.
 
-    guide : (n,), for each of the n contacts of `Pulls` that is oblique a slipping one, as an index; -1 for others.
-    way : (n,), +1 or -1 for oblique contacts: the friction of each is mu F_n times `way` times the unit vector along
-        the slip of its guide.
-    between : the pairs of domains from which this is known."""
+    guide : (n,), the index of the guide of each of the n contacts of :class:`Pulls` that is oblique. Slipping contacts
+        are their own guides; all others have -1.
+    way : (n,), +1 or -1 for oblique contacts, 1 for slipping ones.
+    between : the pairs of domains whose balance gives this friction."""
 
     guide: np.ndarray
     way: np.ndarray
@@ -82,7 +81,8 @@ class ObliqueLimits:
 
     @classmethod
     def of(cls, pulls: Pulls) -> ObliqueLimits | None:
-        """Return the friction of all oblique contacts (step 1 of the proof); None if that of any is not found.
+        """Return the friction of all oblique contacts (step 1 of the proof); None if that of any is not found. Spheres
+        are tried again as long as a round finds friction, since that of one pair of domains may be needed at another.
 
         pulls : the n contacts whose friction is at its limit."""
         found = cls(np.where(pulls.in_s, np.arange(len(pulls.own)), -1), pulls.in_s.astype(int), [])
@@ -91,38 +91,41 @@ class ObliqueLimits:
         cancel = [pulls.known_pulls_cancel_at(pulls.firm_domain[k], k) for k in range(2)] if len(unsolved) else []
         while len(unsolved):
             spheres = np.unique(np.concatenate([pulls.lower[unsolved], pulls.upper[unsolved]])).tolist()
-            solved = [found._solves(pulls, sphere, alike, cancel) for sphere in spheres]
+            solved = [found._find_at(sphere, pulls, alike, cancel) for sphere in spheres]
             if not any(solved):
                 return None
             unsolved = unsolved[found.guide[unsolved] < 0]
         return found
 
-    def _solves(
-        self, pulls: Pulls, sphere: int, alike: tuple[np.ndarray, np.ndarray], cancel: list[np.ndarray]
+    def _find_at(
+        self, sphere: int, pulls: Pulls, alike: tuple[np.ndarray, np.ndarray], cancel: list[np.ndarray]
     ) -> bool:
-        """Find the friction of the oblique contacts at one pair of firm domains (groups of spheres that contacts below
-        their limits join) and write it to `guide`, `way` and `between`. Return True if it was found.
+        """Write the friction of the oblique contacts at a pair of firm domains to `guide`, `way` and `between`. Return
+        True if it was found: if neither domain has a driven sphere, and the balance of both gives this friction.
 
+        sphere : a sphere of both domains. Firm domains are groups of spheres that contacts below their limits join.
         pulls : the n contacts whose friction is at its limit.
-        sphere : a sphere of both domains.
-        alike : for each slipping contact the first one with the same slip but for a sign, (n,); and this sign, (n,).
-        cancel : by component the mask of the firm domains at which exactly known pulls cancel."""
+        alike : the two arrays that `_alike` returns.
+        cancel : by component the mask of the firm domains on which exactly known pulls cancel."""
         firm = [int(label[sphere]) for label in pulls.firm_domain]
-        sets = [np.flatnonzero(pulls.uncertain[s] & pulls.crossing(pulls.firm_domain[s], firm[s])) for s in range(2)]
         if any(firm[s] < pulls.imposed_labels(pulls.firm_domain, s) or not cancel[s][firm[s]] for s in range(2)):
             return False
-        contacts = sets[0]
-        side = _side(pulls, contacts, pulls.firm_domain, firm)
-        if not np.array_equal(sets[0], sets[1]) or side is None:
+        # The contacts without exactly known friction have to be the same at both domains, each with one end in both.
+        at = [np.flatnonzero(pulls.uncertain[s] & pulls.crossing(pulls.firm_domain[s], firm[s])) for s in range(2)]
+        contacts, side = at[0], _side(pulls, at[0], pulls.firm_domain, firm)
+        if not np.array_equal(at[0], at[1]) or side is None:
             return False
         known = self.guide[contacts] >= 0
         if known.all() or not known.any():
             return False
-        # All contacts of known friction have to pull along one v: one first contact with their slip, and one sign.
-        first, differs = alike[0][self.guide[contacts[known]]], alike[1][self.guide[contacts[known]]]
-        signs = side[known] * self.way[contacts[known]] * differs
+        # Contacts of known friction have to pull along one direction v: one first contact with this slip, and one sign.
+        guides = self.guide[contacts[known]]
+        first, signs = alike[0][guides], side[known] * self.way[contacts[known]] * alike[1][guides]
+        if len(np.unique(first)) > 1 or len(np.unique(signs)) > 1:
+            return False
+        # Their limits have to add up exactly to those of the others, which then pull along -v.
         signed_limit = np.where(known, 1.0, -1.0)[:, None] * pulls.coefficient[contacts]
-        if len(np.unique(first)) > 1 or len(np.unique(signs)) > 1 or math.fsum(signed_limit.ravel().tolist()) != 0.0:
+        if math.fsum(signed_limit.ravel().tolist()) != 0.0:
             return False
         guide, sign = int(first[0]), int(signs[0])
         self.guide[contacts[~known]], self.way[contacts[~known]] = guide, -side[~known] * sign
@@ -153,9 +156,9 @@ class ObliqueLimits:
 
 
 def _alike(pulls: Pulls) -> tuple[np.ndarray, np.ndarray]:
-    """Return for each of n contacts that slip in both components the first contact, (n,), with the same slip but for a
-    sign, as it connects the same two groups of spheres that turn as one in both components; and this sign, (n,), +1 or
-    -1. For all other contacts the numbers have no meaning.
+    """Return two arrays (n,) about the contacts that slip in both components: the first contact with the same slip but
+    for a sign, and this sign, +1 or -1. Slips are the same at contacts between the same two groups of spheres that turn
+    as one in both components. For all other contacts the numbers have no meaning.
 
     pulls : the n contacts whose friction is at its limit."""
     low, high = pulls.same_in_both[pulls.lower], pulls.same_in_both[pulls.upper]
@@ -180,19 +183,17 @@ def _side(pulls: Pulls, contacts: np.ndarray, label: np.ndarray, domains: list[i
 
 
 def not_balanced(pulls: Pulls, between: list[Between]) -> np.ndarray:
-    """Return the mask (2, spheres), by component, of the firm domains without a driven sphere on which friction is not
-    proven to balance. A firm domain is a group of spheres that contacts below their friction limits join.
+    """Return the mask (2, spheres), by component, of the spheres in firm domains on which friction is not proven to
+    balance. Contacts below their friction limits join spheres to firm domains; those with a driven sphere are left out.
 
     pulls : the contacts whose friction is at its limit.
     between : pairs of firm domains that are known to be in balance.
 
-    Let r be the torque left over on a firm domain. There are two kinds of equations. (1) On a slipless domain without a
-    driven sphere, which consists of firm domains, the sum of all r is 0, as it is in balance at the minimum. (2) The
-    friction of contacts that is not exactly known cancels in the sum over all firm domains that such contacts connect,
-    a *group*. So if the exactly known friction on these adds up to 0, the sum of all r is 0, too. Each r stands in one
-    equation of either kind. An equation in which a single r is left makes this 0; this is repeated until there is no
-    such equation.
-    """
+    Let r be the torque left over on a firm domain. Two kinds of equations say that a sum of r is 0:
+    1. over the firm domains in a slipless domain without a driven sphere, as that is in balance at the minimum;
+    2. over a *group*, firm domains that contacts without exactly known friction connect. This friction cancels in the
+       sum, so the equation is true if the exactly known friction on the group adds up to 0.
+    Each r stands in one equation of either kind. A true equation with one unknown r makes it 0, until none is left."""
     found = np.zeros(pulls.firm_domain.shape, dtype=bool)
     for slot in range(2):
         firm, count = pulls.firm_domain[slot], int(pulls.firm_domain[slot].max()) + 1
@@ -229,8 +230,8 @@ def not_balanced(pulls: Pulls, between: list[Between]) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Movable:
-    """The m pairs of locked domains, one of each component, that can move along a line; it is the direction of the
-    friction of contacts that rest at their limits.
+    """The m pairs of locked domains, one of each component, that can move along a line: along the friction of the
+    oblique contacts of the pair. (`Pulls.locked_domain` says which spheres a locked domain has.)
 
     labels : (2, m), for both components the label of the locked domain.
     slot : (m,), the component (0 or 1) in which the pair is held so that one minimum is left.
@@ -242,11 +243,11 @@ class Movable:
 
     @classmethod
     def of(cls, pulls: Pulls, limits: ObliqueLimits, contacts: Slipping) -> Movable:
-        """Return those pairs that can move (step 3 of the proof): the same turning contacts connect either domain with
-        others, and they are those from which the friction of the pair is known.
+        """Return the pairs that can move (step 3 of the proof): pairs of locked domains without a driven sphere. The
+        turning contacts between either domain and others have to be those of a pair in `limits`.
 
         pulls : the contacts whose friction is at its limit.
-        limits : the pairs, with contacts that rest at their limits.
+        limits : the friction of the oblique contacts, with pairs of firm domains.
         contacts : the slipping contacts."""
         labels, slots, pairs = [], [], []
         for pair in limits.between:
@@ -277,14 +278,14 @@ class Movable:
 
     def blocked(self, pulls: Pulls, signs: np.ndarray, excluded: np.ndarray) -> np.ndarray:
         """Return the mask (m,) of the pairs that are proven to stand still from one minimum to another (step 4 of the
-        proof).
+        proof): a chain of contacts that may only slip forward excludes the only direction in which the pair may move.
 
         pulls : the n contacts whose friction is at its limit.
         signs : (2, m), sign of the only direction in which a pair may move, by component; 0 if not known.
         excluded : (2, spheres) mask of spheres that may move in other ways; contacts at these are not used."""
         found = np.zeros(len(self.pairs), dtype=bool)
         for slot in range(2):
-            # nodes: welded domains, which move as a whole; then the pairs, each taken out of its welded domain
+            # Nodes with motions y: welded domains, which move as a whole; then the pairs, taken out of their domains.
             node, locked = pulls.welded_locked[slot].copy(), pulls.locked_domain[slot]
             rest_of_domain, count = [], int(node.max()) + 1
             for number, label in enumerate(self.labels[slot].tolist()):

@@ -17,12 +17,12 @@ EPS = np.finfo(np.float64).eps  # distance from 1 to the next double
 
 @dataclass(frozen=True)
 class Pulls:
-    """The n contacts of one sample whose friction is at its limit, and the direction of the force (*pull*) of each
-    along the two spin components that make contacts slip. These are numbered 0 and 1, in arguments `slot` and on the
-    first axis of arrays (2, ...).
+    """The n contacts of one sample whose friction is at its limit mu F_n, with the direction of the force (*pull*) of
+    each: first the contacts that slip (the set S), then those that do not slip (C). T are the contacts below their
+    limit.
 
-    First come the contacts that slip (S), then those that do not slip (C). T are the contacts below their limit. A
-    *domain* is a group of spheres that some set of contacts joins in one component, so that they turn as one.
+    Two spin components make contacts slip. They are numbered 0 and 1, in arguments `slot` and on the first axis of
+    arrays (2, ...). A *domain* is a group of spheres that a set of contacts joins in one component: they turn as one.
 
     own : (n,), indices of the contacts among all of the network.
     lower, upper : (n,), indices of their two spheres.
@@ -34,10 +34,11 @@ class Pulls:
         says in which direction they would begin to slip (oblique_limits.py).
     coefficient : (n, p), friction limits in exact proportions: that of a contact is the exact sum of its p numbers.
     in_s : (n,) mask of the contacts of S.
-    slipless_domain : (2, spheres), by component the label of the domain of each sphere if T and C join spheres. The
-        smallest labels, 0, 1, ..., are those of domains with a driven sphere, which are imposed.
-    firm_domain : (2, spheres), the same with T alone joining spheres.
-    locked_domain : (2, spheres), the same with T joining spheres, and those of C without friction along the component.
+    slipless_domain : (2, spheres), by component the label of the domain that T and C make of each sphere and others.
+        Domains with a driven sphere, whose spin is imposed, have the smallest labels, 0, 1, ...
+    firm_domain : (2, spheres), labels of the domains that T alone makes, in this order as well.
+    locked_domain : (2, spheres), labels of the domains that T makes with the contacts of C without friction along the
+        component.
     driven : (spheres,) mask of the driven spheres."""
 
     own: np.ndarray
@@ -90,8 +91,8 @@ class Pulls:
 
     @cached_property
     def uncertain(self) -> np.ndarray:
-        """(2, n) mask, for either component True for a contact whose friction along it is not known exactly, since it
-        may have friction along the other component, too."""
+        """(2, n) mask, for either component True for a contact whose friction along it is not exactly known: that of
+        slipping contacts whose slip has both components, and of `oblique` ones."""
         slips = [self.in_s & self.turned_by[slot] & self.apart(self.slipless_domain, slot) for slot in range(2)]
         found: np.ndarray = np.array(slips) | self.oblique
         return found

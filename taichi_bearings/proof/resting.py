@@ -147,10 +147,10 @@ def _most_change(network: JudgedNetwork, k: int, rests: np.ndarray, torque: np.n
     """Return a bound (E,) on how much the friction of each contact that is tried as resting has to change, along spin
     component k, to balance given torques. It is infinite in parts that cannot rest, and 0 for contacts not tried.
 
-    A part is what these contacts join through free spheres. Torques are carried to the driven spheres along a tree of
-    its contacts, and in a loop of an odd number of contacts half of each goes either way: no force changes by more than
-    3/2 of their sum. A part can rest if all driven spheres that it touches have the same imposed spin, up to the signs
-    by which neighbours differ; with an odd loop it has to be 0.
+    A *part* is a set of tried contacts that free spheres connect. It can rest (condition a at the head of this file) if
+    all driven spheres that it touches have the same imposed spin, up to the signs by which neighbours differ; with a
+    loop of an odd number of contacts this spin has to be 0. Torques are carried to the driven spheres along a tree of
+    the contacts; in an odd loop half of each goes either way. So no force changes by more than 3/2 of their sum.
 
     network : a packing with N spheres and E contacts, whose slips do not mix the components of the spins.
     rests : (E,) mask of the contacts that are tried.
@@ -162,7 +162,7 @@ def _most_change(network: JudgedNetwork, k: int, rests: np.ndarray, torque: np.n
     nodes = np.where(network.free[ends], ends, count + np.arange(len(tried)))
     label, odd, sign = signs(nodes, count + len(tried))
     total = np.bincount(label[:count], np.where(network.free, torque, 0.0), len(label)) * SHARE_AROUND
-    # Condition a: compare the imposed spins at the driven ends of each part, with their signs, as exact sums.
+    # Can it rest? Compare the imposed spins at the driven ends of each part, with their signs, as exact sums.
     with_driven = np.flatnonzero((nodes >= count).any(axis=0))
     driven = np.where(network.free[ends[0]], ends[1], ends[0])[with_driven]
     signed = imposed.at(driven).signed(sign[count + with_driven])

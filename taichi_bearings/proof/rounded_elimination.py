@@ -227,21 +227,21 @@ class Elimination:
         return pivots, below, rest
 
     def distance_from_positive(self, shift: float | np.ndarray) -> np.ndarray:
-        """Return for each of R samples a bound (R,) on the distance, in the spectral norm, of two matrices: the matrix
-        of the sample less `shift` times the identity, and L L^T with the Cholesky factor L that is computed of it. It
-        is infinite if a pivot is not positive. As L L^T has no negative eigenvalue, no eigenvalue of the matrix is
-        below the shift less this distance.
+        """Return for each of R samples a bound (R,) on the rounding of its elimination: on the spectral norm of A -
+        shift - L L^T, with the matrix A of the sample and the Cholesky factor L that is computed. It is infinite if a
+        pivot is not positive. As L L^T has no negative eigenvalue, no eigenvalue of A is below the shift less this
+        bound.
 
         shift : a number, or one for each sample, (R,).
 
-        The two differ by at most gamma |L| |L|^T, entry by entry, with gamma = t EPS / (1 - t EPS) for sums of t terms
-        in any order (Higham, Accuracy and Stability of Numerical Algorithms, 2002, theorem 10.3). Entry (i, j) has a
-        term for each unknown at which both rows i and j of L may differ from 0, so no more than either row has. (Fronts
-        add updates that have 0 at some entries; adding 0 rounds nothing.) So its gamma is at most the root of gamma_i
-        gamma_j, those of t_i and t_j terms. So the difference is at most W W^T, where W is |L| with each row times the
-        root of its gamma. As W has no negative entries, the norm of W W^T is at most its largest row sum.
+        Proof. Entry (i, j) of this difference is at most gamma_ij times that of |L| |L|^T, with gamma_ij = t EPS / (1 -
+        t EPS) for a sum of t terms in any order (Higham, Accuracy and Stability of Numerical Algorithms, 2002, theorem
+        10.3). The sum has a term for each unknown at which both rows i and j of L may differ from 0. That is no more
+        than the t_i terms of row i alone, or the t_j of row j: gamma_ij <= (gamma_i gamma_j)^1/2. (Fronts add updates
+        that have 0 at some entries; adding 0 rounds nothing.) So the difference is at most W W^T, where row i of W is
+        that of |L| times gamma_i^1/2. As W has no negative entries, the norm of W W^T is at most its largest row sum.
         """
-        # t of each row: the number of its entries in L, and two more.
+        # t_i of each row: the number of its entries in L, and two more.
         terms = np.full(self.size, 2)
         for front in self.fronts:
             terms[front.first : front.first + front.own] += np.arange(1, front.own + 1)
@@ -268,11 +268,11 @@ class Elimination:
         return int(self.samples.of[self.order[front.first]])
 
     def dependent(self, least: float) -> np.ndarray:
-        """Return the mask (n,) of unknowns such that all pivots of the others are above `least`. But for rounding there
-        is one of them for each eigenvalue 0. All are True in samples whose elimination fails. Nothing is proven.
+        """Return the mask (n,) of unknowns that are held at 0 so that all pivots of the others are above `least`. But
+        for rounding, they are as many as there are eigenvalues 0. In samples whose elimination fails the mask is True
+        everywhere. Nothing about it is proven.
 
-        least : pivot up to which an unknown is put into the mask.
-        """
+        least : the elimination puts an unknown into the mask if its pivot would be this number or less."""
         held, failed = np.zeros(self.size, dtype=bool), np.zeros(self.samples.count, dtype=bool)
         for front, columns in self.columns(0.0, least, held):
             if columns is None:

@@ -340,12 +340,12 @@ class Grid(Listed):
         return found
 
     def slips(self, spin: list[Enclosure], shift: list[Enclosure | None], still: np.ndarray) -> Enclosure:
-        """Return slip speeds (m,) of all contacts: lengths of the differences of signed spins over the components that
-        make each contact slip. (Signed means times the sign of the sublattice, so equal ones roll.)
+        """Return the slip speeds (m,) of all contacts: the length of the difference of the signed spins of its spheres,
+        over the components that make it slip. (Signed means times the sign of the sublattice, so equal ones roll.)
 
         spin : signed spins (times radius) of n spheres by component, C enclosures (n,).
-        shift : by component, an enclosure (n,) of small numbers, with digits that `spin` cannot hold, that are added to
-            the spins; None for nothing.
+        shift : by component an enclosure (n,) that is to be added to the spins, too small to be stored in one number
+            with them; None for nothing.
         still : (m,) mask of contacts that do not slip at all, to which no shift is added."""
         found = nothing(self.contacts)
         by_axis, at_rest = [self.by_axis(part) for part in found.parts], self.by_axis(still)
@@ -353,12 +353,12 @@ class Grid(Listed):
         spins = {
             slot: self.of_spheres(part) for slot, part in enumerate(spin) if slot in shifts or _may_differ_from_0(part)
         }
-        # For each group of contacts: difference of signed spins by component; the shift is added only where it differs.
+        # For each group of contacts: difference of signed spins by component, then its length.
         for axis, own, first, second in self.pieces:
             differences = []
             for slot in (slot for slot in self.felt(axis) if slot in spins):
                 difference = spins[slot][second] - spins[slot][first]
-                if slot in shifts:
+                if slot in shifts:  # add the shifts, only where those of both spheres differ
                     more = shifts[slot]
                     places = np.nonzero((more.high[first] != more.high[second]) & ~at_rest[axis][own])
                     shifted = difference[places] + (more[second][places] - more[first][places])

@@ -89,8 +89,8 @@ class Springs:
 
     @classmethod
     def of(cls, network: JudgedNetwork, upper: np.ndarray) -> Springs | None:
-        """Return springs with stiffnesses q such that at every minimum the sum of q |slip|^2 over the contacts of a
-        sample is at most 1. Return None if some unknown spin component changes no slip.
+        """Return springs so stiff that at every minimum the sum of q |slip|^2 over the contacts of a sample is at most
+        1 (step 2 at the head of this file). Return None if some unknown spin component changes no slip.
 
         upper : (R,), for each of R samples a number above 0 that the potential of minima does not exceed, in units of
             the network. Springs are made for no less than LEAST_POWER of the natural potential."""
@@ -98,7 +98,8 @@ class Springs:
         least_holding = np.where(holding > 0, holding, np.inf).reshape(network.count, -1).min(axis=1, initial=np.inf)
         least_holding, potential = network.on_contacts(least_holding), network.on_contacts(upper)
         most = network.on_contacts(np.maximum(upper, LEAST_POWER * natural(network)))
-        # q = w w_min / Phi^2 or eta / (2 Phi); slips of minima are at most Phi / w and (2 Phi / eta)^1/2.
+        # q is w w_min / Phi^2 or eta / (2 Phi), with the friction limit w, the damping eta and the potential Phi. Slips
+        # of minima are at most Phi / w and (2 Phi / eta)^1/2.
         with np.errstate(all="ignore"):
             of_friction = np.where(least_holding < np.inf, holding * (least_holding / most) / most, 0.0)
             weight = np.maximum(of_friction, slope / most / 2)
@@ -110,13 +111,12 @@ class Springs:
         return None if form is None else cls(network, weight, fastest, number, form)
 
     def balanced(self, goes_on: Callable[[list[Enclosure]], np.ndarray]) -> tuple[list[Enclosure], list[Enclosure]]:
-        """Return the stored friction with forces of the springs added that balance all torques but for rounding, 3
-        components, enclosures (E,); and the torques over radius that are still left over on the N spheres, 3
-        components, enclosures (N,).
+        """Return the stored friction plus forces of the springs, which balance all torques but for rounding; and the
+        torques over radius that are still left over. Both by component: 3 enclosures (E,), and 3 enclosures (N,).
 
-        goes_on : function of these torques that returns the mask (R,) of the samples in which they are too large. It
-            is asked after ROUNDS solves, and again after each further one, as long as these at least halve the torques.
-        """
+        goes_on : function of these torques that returns the mask (R,) of the samples in which they are too large, so
+            that another solve is needed. It is called from ROUNDS solves on. Solves end in samples in which the last
+            one did not halve the torques."""
         network, factor = self.network, self.form.elimination.factorised_samples(SHIFT)
         torques, is_unknown, friction = network.own_torques, self.number >= 0, network.own_friction
         ended, before, samples = factor.failed.copy(), np.full(network.count, np.inf), self.form.elimination.samples
@@ -158,12 +158,13 @@ class Springs:
 
         form : the quadratic form of changes of the unknowns, made with these springs.
         weight : (E,), stiffness q of the spring at each contact.
-        most : (R,), bound on the root of the sum of q |slip|^2 at every minimum."""
+        most : (R,), bound on the norm of q^1/2 slip at every minimum."""
         slips, largest = self.network.slips(self.network.imposed), form.elimination.samples.largest
         squares = sum((weight * part.most**2).reshape(self.network.count, -1).sum(axis=1) for part in slips)
         with np.errstate(all="ignore"):
             floor = form.floor()
-            # |D^-1 u*| <= (|q^1/2 y*| + |q^1/2 b|) / sigma, step 2 at the head of this file
+            # |D^-1 u*| <= (|q^1/2 y*| + |q^1/2 b|) / sigma for the free spins u* of a minimum in units D, its slips y*
+            # and the slips b of the imposed spins alone. sigma^2 is the floor (step 2 at the head of this file).
             found = largest(form.scale) * (most + np.sqrt(squares)) / np.sqrt(floor) * UP**2
         return np.where((floor > 0) & (found >= 0), found, np.inf)
 
@@ -197,10 +198,11 @@ def weighed(
 
 def rolling(network: JudgedNetwork) -> np.ndarray:
     """Return the mask (N,) of free spheres that are proven to have spins at which all their contacts roll, whatever the
-    spins of the other spheres. Only spheres are tried whose contacts all bear nearly no friction.
+    spins of the other spheres: the slips at these contacts are independent, so spins can give any slips. Candidates are
+    spheres whose contacts all bear nearly no friction. In a sample where this is not proven of all candidates together,
+    connected pieces of candidates are tried one by one.
 
-    network : a packing with N spheres, and the friction of its contacts.
-    """
+    network : a packing with N spheres, and the friction of its contacts."""
     size = np.sqrt((network.graph.friction**2).sum(axis=1))
     largest = network.on_contacts(size.reshape(network.count, -1).max(axis=1, initial=0.0))
     small = UNSTRESSED * np.where(network.holding.high > 0, network.holding.high, largest)
@@ -211,16 +213,12 @@ def rolling(network: JudgedNetwork) -> np.ndarray:
     inner = candidates[first] & candidates[second]
     label = pieces(len(candidates), first[inner], second[inner])
     independent = _independent(network, candidates)
-    if independent.all():
-        found: np.ndarray = candidates
-        return found
     unproven = candidates & ~np.repeat(independent, len(candidates) // network.count)
-    # In the other samples keep those pieces, candidates that contacts connect, for which independence is proven.
     for piece in np.unique(label[unproven]):
         members = candidates & (label == piece)
         if not _independent(network, members).all():
             candidates &= ~members
-    found = candidates
+    found: np.ndarray = candidates
     return found
 
 
@@ -242,14 +240,14 @@ def _independent(network: JudgedNetwork, spheres: np.ndarray) -> np.ndarray:
 
 
 def floor_by_contact(network: JudgedNetwork, number: np.ndarray, contacts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Prove that spins can give any slips to some contacts, and how large these spins have to be. Return two arrays:
+    """Return two arrays that bound the spins which are needed to give any slips to some contacts:
 
-    1. tau : (R,), for each of R samples a number above 0 if it is proven, infinite without any of the contacts;
-    2. unit : (E,), a number for each contact, 1 for others.
+    1. tau : (R,), above 0 in samples in which it is proven that spins can give any slips to all of these contacts (else
+       0); infinite in samples without any of them;
+    2. unit : (E,), a scale of the slip of each of these contacts, 1 for all others.
 
-    Then slips y of the contacts need spins of a size no larger than the root of (sum of (unit |y|)^2) / tau. If
-    friction on the contacts exerts torques of the norm |r|, its size at a contact is at most unit |r| over the root of
-    tau.
+    Slips y can be given by spins of the norm ((sum of (unit |y|)^2) / tau)^1/2 or less. And if friction on the contacts
+    exerts torques of the norm |r|, it is at each contact at most unit |r| / tau^1/2.
 
     network : R samples of a packing, with N spheres and E contacts in all.
     number : (N, 3), the index of each spin component among the unknowns; -1 for those that are none.
@@ -273,14 +271,13 @@ def floor_by_contact(network: JudgedNetwork, number: np.ndarray, contacts: np.nd
 
 @dataclass(frozen=True)
 class _Slips:
-    """Two components of the slip of each of some contacts, q numbers in all, with the matrix K that gives them from n
-    unknown spin components, and an order of elimination of K K^T. Each slip is at right angles to its normal, so two
-    components fix it; the one along which the normal is largest is left out.
+    """The matrix K that gives the slips of some contacts from n unknown spin components, and an order of elimination of
+    K K^T. K has two rows for each contact, q in all. A slip is at right angles to its normal, so two components fix it;
+    the one along which the normal is largest is left out.
 
     columns : K^T, (n, q).
     elimination : of K K^T.
-    contact : (q,), the contact of each number.
-    """
+    contact : (q,), the contact of each row of K."""
 
     columns: sparse.csr_array
     elimination: Elimination
@@ -288,8 +285,9 @@ class _Slips:
 
     @classmethod
     def of(cls, network: JudgedNetwork, number: np.ndarray, contacts: np.ndarray) -> _Slips | np.ndarray:
-        """Return the slips with an order of elimination; or floors (R,) of the eigenvalues of K K^T that are known
-        without elimination: infinity if there is no such contact, 0 if every sample has more slips than unknowns.
+        """Return the matrix with an order of elimination, unless floors of the eigenvalues of K K^T are known without
+        one. Then return these, (R,): infinity if there is no such contact, 0 if every sample has more rows than
+        unknowns.
 
         network : R samples of a packing, with N spheres and E contacts in all.
         number : (N, 3), the index of each spin component among the unknowns; -1 for those that are none.

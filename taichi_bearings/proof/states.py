@@ -87,8 +87,8 @@ class States:
 def proven_states(bounds: Bounds) -> list[States]:
     """Return the proven contact states at every minimum, a list with an object for each of R samples.
 
-    Which theorem is applied depends on whether there is damping, on whether each component of a slip depends on one
-    component of the spins, and on how many spin components can make contacts slip.
+    The theorem depends on whether there is damping, on whether each component of a slip depends on one component of the
+    spins (else `network.mixes`), and on the spin components that can make contacts slip (`network.needed`).
 
     bounds : bounds on the power of the samples, with their stored spins and friction."""
     network = bounds.network
@@ -96,7 +96,7 @@ def proven_states(bounds: Bounds) -> list[States]:
     rests = ~network.counts | network.on_contacts(bounds.upper == 0)
     if not imposed_exactly(network):  # products with so small a spin underflow
         return _samples(network, np.where(rests, SLIPLESS, UNDECIDED), "an imposed spin is too small", None)
-    if bounds.alone:
+    if bounds.alone:  # samples whose bounds need different proofs
         return [states for one in bounds.alone for states in proven_states(one)]
     if network.mixes and network.count > 1:  # all samples together; those that fail, one by one
         near = _enclosed_minimum(bounds) if _can_be_enclosed_together(bounds) else None
@@ -108,8 +108,7 @@ def proven_states(bounds: Bounds) -> list[States]:
         ]
     elif (bounds.proof != PROVEN).any():
         found = _all_undecided(network, "the lower bound is not proven for all spins")
-    # With damping; then friction alone: with normals in any direction, where nothing has to slip, and all others.
-    elif network.law.has_viscosity:
+    elif network.law.has_viscosity:  # all cases below have friction alone
         far = np.sqrt(2 * network.on_contacts(bounds.excess) / network.slope.least) * UP
         known = _slipping_beyond(network, far)
         found = _samples(network, known, "slips are small, or nothing is known of what bears no viscosity", True)
@@ -118,12 +117,12 @@ def proven_states(bounds: Bounds) -> list[States]:
         found = _with_parts_at_rest(bounds, far, found) if network.graph.rests_in_parts else found
     elif network.mixes and (near := _enclosed_minimum(bounds)) is not None:
         found = _enclosed(network, near)
-    elif network.mixes:
+    elif network.mixes:  # where the minimum is not enclosed
         far = _by_cones(bounds)
         known = _slipping_beyond(network, far)
         found = _samples(network, known, "the spins of least power are not enclosed closely enough", None)
         found = _with_parts_at_rest(bounds, far, found)
-    elif not network.needed:
+    elif not network.needed:  # nothing has to slip
         found = _samples(network, np.full(len(rests), SLIPLESS), "", True)
     else:
         found = _by_cuts(bounds, network.needed[0]) if len(network.needed) == 1 else _by_curvature(network)
@@ -276,9 +275,10 @@ def _of_packings(network: JudgedNetwork) -> list[States]:
     """Return the states of R samples of a packing (discs, or normals along the axes), with friction alone, in which
     minima may slip along several spin components.
 
-    Contacts that hardly slip in the stored spins are taken to rest. Then it is proven that one such minimum is near,
-    and that friction below the limits of these contacts can balance the torques of the others. All samples are tried at
-    once, and if that fails half by half.
+    Contacts that hardly slip in the stored spins are taken to rest. It is proven that one minimum with these contacts
+    at rest is near, and that friction on them, below their limits, can balance the torques of the others. All samples
+    are tried at once, and if that fails half by half; a single sample also by proofs for several minima, and with odd
+    loops by those for normals in any direction.
 
     network : the R samples with stored spins and friction."""
     slip, fastest = network.slip.value, network.box.max()
@@ -288,12 +288,12 @@ def _of_packings(network: JudgedNetwork) -> list[States]:
         if isinstance(known, str):
             return [states for half in _halves(network) for states in _of_packings(half)]
         return _samples(network, known, "", None)
-    # First as if spins were known in twice the precision, then in one.
+    # Which slips hardly differ from 0: first as if spins were known in twice the precision, then in one.
     first_reason = ""
     for rests in (still, nearly_still) if (nearly_still != still).any() else (still,):
         motion = _in_domains(network, rests)
         states = motion if isinstance(motion, str) else _with_ties(motion)
-        if isinstance(states, States):
+        if isinstance(states, States):  # one minimum is claimed for lattices only
             return [replace(states, unique=None if states.unique else states.unique)]
         first_reason = first_reason or states
     if first_reason == ODD_LOOPS:
@@ -309,11 +309,15 @@ def _with_ties(motion: Motion) -> States | str:
     motion : the sample with stored spins and friction, and which of its contacts are taken to rest."""
     contacts, reason = Slipping.of(motion), ""
     for several in (True, False) if _limits_repeat(motion) else (False, True):
-        if several and (tied := tied_states(motion, contacts)) is not None:
-            return States(*tied, "minima tie in ways that are not known closely enough")
-        if not several and isinstance(near := _one_minimum(motion, contacts), tuple):
-            return States(_as_stored(motion), True)
-        reason = reason if several else str(near)
+        if several:
+            tied = tied_states(motion, contacts)
+            if tied is not None:
+                return States(*tied, "minima tie in ways that are not known closely enough")
+        else:
+            minimum = _one_minimum(motion, contacts)
+            if not isinstance(minimum, str):
+                return States(_as_stored(motion), True)
+            reason = minimum
     return reason
 
 
@@ -454,13 +458,13 @@ def _by_cones(bounds: Bounds) -> np.ndarray:
     """Return a bound (E,) on |slip at any minimum - stored slip| for one sample of E contacts with friction alone,
     whose normals have any direction; infinite where nothing is proven.
 
-    Let F be the friction that proves the lower bound on the power, within all limits, and E the upper less the lower
-    bound. For the slips y* of any minimum the sum over contacts of mu F_n |y*| - F . y* is at most E. The term of a
-    contact near its friction limit is at least mu F_n b^2 / (2 |y*|), where b is the part of y* across F; that of any
-    other contact at least (mu F_n - |F|) |y*|. Together these are a quadratic form of the spins.
+    Let F be the friction that proves the lower bound on the power, within all limits. The upper less the lower bound is
+    the excess. For the slips y* of any minimum the sum over contacts of mu F_n |y*| - F . y* is at most the excess. The
+    term of a contact near its limit is at least mu F_n b^2 / (2 |y*|), where b is the part of y* across F; that of any
+    other contact at least (mu F_n - |F|) |y*|. With |y*| bounded above, these terms exceed a quadratic form of spins.
 
-    The form of the given slips is at most E as well: the given spins have no larger potential than that from which
-    `Springs.reach` bounds spins, so E includes the price of leftover torques at these, too.
+    The form of the given slips is at most the excess as well: their potential is no larger than that from which
+    `Springs.reach` bounds spins, so the excess includes the price of leftover torques at the given spins, too.
 
     bounds : bounds on the power of the sample, with its spins and friction, in which forces of fictitious springs have
         balanced all torques. Without such springs (`unknown` is None) nothing is proven."""
@@ -478,8 +482,8 @@ def _by_cones(bounds: Bounds) -> np.ndarray:
     excess, far, most = float(bounds.excess[0]), np.full(len(limit), np.inf), bounds.upper / limit * UP
     for _ in range(PASSES):
         fastest = np.maximum(np.fmin(most, slip + far), slip)
-        # mu F_n / (2 |y*|) for contacts near their limit. For others, with the margin m, m |y*| >= m^2 |y*|^2 / E as
-        # m |y*| <= E. All |y*| and all given slips are at most `fastest`, so this holds for both.
+        # Weights in the form: mu F_n / (2 |y*|) near the limit. At others, with the margin m, m |y*| is at most the
+        # excess, and so at least m^2 |y*|^2 / excess. All |y*| and all given slips are at most `fastest`.
         weight = np.where(network.counts, limit / (2 * fastest), 0.0)
         off_limit = np.minimum(margin**2 / excess, STIFFEST * weight)
         weight = np.where(at_limit, weight, np.where(network.counts, off_limit, 0.0))
@@ -487,8 +491,8 @@ def _by_cones(bounds: Bounds) -> np.ndarray:
         floor = 0.0 if form is None else float(form.floor()[0])
         if form is None or not floor > 0:
             break
-        # Both y* and the given slips have a form of at most E, so the spins of both differ by at most twice its root
-        # over the root of the floor. The floor is proven of the form without any rounding.
+        # The form is at most the excess for y* and for the given slips, so the spins of both differ by at most 2
+        # (excess / floor)^1/2. The floor is proven of the form without any rounding.
         radius = 2 * np.sqrt(excess) / np.sqrt(floor) * UP**2
         scale = np.zeros(number.shape)
         scale[number >= 0] = form.scale
@@ -500,11 +504,10 @@ def _by_cones(bounds: Bounds) -> np.ndarray:
 def _rows_of_cones(
     network: JudgedNetwork, across: np.ndarray, at_limit: np.ndarray, number: np.ndarray
 ) -> tuple[sparse.csr_array, sparse.csr_array]:
-    """Return two matrices (3 E, n) for E contacts and n unknown spin components. The rows of the first give the numbers
-    whose squares the quadratic form of `_by_cones` adds: the component of the slip across friction for a contact in the
-    mask `at_limit` (one row), and all components of the slip for any other contact that can dissipate (three rows). The
-    second matrix has for each entry the sum of the sizes of the products from which it is made, as its rounding error
-    is a share of that sum.
+    """Return two matrices (3 E, n) for E contacts and n unknown spin components. The first one gives the slips whose
+    squares `_by_cones` adds up: the component across friction for a contact in the mask `at_limit` (one row), all
+    components for any other contact that can dissipate (three rows). Each entry of it is a sum of products; that of the
+    second matrix is the sum of their sizes, from which the rounding is bounded.
 
     network : one sample of a packing, with the normals of its contacts.
     across : (E, 3), unit vectors across friction and normal.

@@ -235,21 +235,20 @@ def tied_states(motion: Motion, contacts: Slipping) -> tuple[np.ndarray, bool | 
 def _tied_states(
     motion: Motion, contacts: Slipping, saturated: Saturated, pulls: Pulls, limits: ObliqueLimits
 ) -> tuple[np.ndarray, bool | None] | None:
-    """Return the proven states (E,) of all E contacts of one sample, and True if there is only one minimum, False if
-    there are more, None if that is not known; or None if nothing is proven with the given saturated contacts.
+    """Return what `tied_states` returns, as far as it is proven with the given saturated contacts.
 
-    motion : the stored spins of the sample and which contacts rest.
+    motion : the stored spins of one sample and which contacts rest.
     contacts : those that slip.
     saturated : those that rest with friction taken to be at its limit. On all firm domains the friction balances.
-    pulls : both together.
+    pulls : the slipping and the saturated contacts together, with the domains that they make.
     limits : the friction of the oblique saturated contacts, those with friction along both components."""
-    # Hold one slipless domain of each welded domain, for one minimum; and one locked domain, to exclude other motions.
+    # Choose domains to hold: slipless ones, so that one minimum is left; and locked ones, for the proof of step 4.
     between, movable = BetweenTwo.of(pulls, contacts), Movable.of(pulls, limits, contacts)
     held = _spheres_to_hold(pulls, pulls.slipless_domain, pulls.welded_slipless, between)
     held_locked = _spheres_to_hold(pulls, pulls.locked_domain, pulls.welded_locked, between, movable)
     if held is None or held_locked is None or not (held.any() or not pulls.in_s.all()):
         return None
-    # The minimum with these held; with oblique contacts the curvature that excludes other motions; states by paths.
+    # Prove the minimum (steps 1 to 3); with oblique contacts the curvature that excludes other motions (step 4).
     near = _minimum_with_held(contacts, pulls, between, held, saturated, limits)
     if near is None:
         return None
@@ -319,11 +318,10 @@ class Saturated:
         left_out = (at[0] | at[1]) & (np.hypot(*parts) < (1 - SURELY_FULL) * limit)
         return Saturated(self.motion, self.mask & ~left_out, self.along & ~left_out) if left_out.any() else None
 
-    def friction(self, slot: int) -> Enclosure:
-        """Return for each of the q saturated contacts the moment n x F (with the normal n and the friction F) along
-        component `slot`, 0 or 1, at the minimum: an enclosure (q,), in units of force. It is mu F_n with the sign of
-        the stored moment, or 0 if the friction is along the other component. For oblique contacts only the sign has a
-        meaning."""
+    def moment_at_limit(self, slot: int) -> Enclosure:
+        """Return for each of the q saturated contacts the moment n x F (n the normal, F the friction) along component
+        `slot` (0 or 1) at the minimum, an enclosure (q,): mu F_n with the sign of the stored moment, or 0 if the
+        friction is along the other component. For oblique contacts only the sign has a meaning."""
         saturated = np.flatnonzero(self.mask)
         sign = np.sign(self.network.moment[self.network.needed[slot]].high[saturated])
         return self.network.holding.at(saturated).signed(sign * self.along[slot, saturated])
@@ -335,16 +333,15 @@ class Saturated:
         return Motion(self.network, self.motion.rests & ~moves) if moves.any() else self.motion
 
     def missing_friction(self, of_oblique: np.ndarray) -> dict[int, np.ndarray]:
-        """Return a dictionary: for each of the two spin components k along which minima may slip a bound (spheres,) on
-        the error of the torque over radius on each sphere, in units of force. It is the sum, over the saturated
-        contacts of the sphere, of the size of the difference between the stored moment and that at the minimum: exactly
-        mu F_n along one component, unless the contact is oblique.
+        """Return a bound (spheres,) on the error of the torque over radius on each sphere, force, for each spin
+        component k in `network.needed`, as a dictionary. The error is the sum over the saturated contacts of the sphere
+        of |moment at the minimum - stored moment|.
 
-        of_oblique : (2, E), bounds on these differences for oblique contacts."""
+        of_oblique : (2, E), bounds on these differences at oblique contacts. At others the moment is exactly known."""
         saturated, network = np.flatnonzero(self.mask), self.network
         found = {k: np.zeros(len(network.free)) for k in network.needed}
         for slot, k in enumerate(network.needed):
-            of_others = (self.friction(slot) - network.moment[k].at(saturated)).most
+            of_others = (self.moment_at_limit(slot) - network.moment[k].at(saturated)).most
             difference = np.where(self.oblique[saturated], of_oblique[slot, saturated], of_others)
             difference[~network.feels[k][saturated]] = 0.0
             for end in network.graph.contact[:, saturated]:
@@ -363,7 +360,7 @@ def _pulls(contacts: Slipping, saturated: Saturated, coefficient: np.ndarray) ->
     components = len(network.needed)
     own = np.append(contacts.own, in_c)
     lower, upper = network.graph.contact[:, own]
-    signs_of_c = np.array([np.sign(saturated.friction(slot).high) * network.sign[k][network.graph.contact[1, in_c]]
+    signs_of_c = np.array([np.sign(saturated.moment_at_limit(slot).high) * network.sign[k][upper[len(contacts.own) :]]
                      for slot, k in enumerate(network.needed)])  # fmt: skip
     signs = np.array([np.sign(part.high) for part in contacts.difference])
     driven = np.flatnonzero(~network.free)
@@ -403,21 +400,18 @@ def _numbered(motion: Motion, k: int, driven_alike: np.ndarray) -> np.ndarray:
 def _spheres_to_hold(
     pulls: Pulls, label: np.ndarray, welded_domain: np.ndarray, between: BetweenTwo, movable: Movable | None = None
 ) -> np.ndarray | None:
-    """Return the mask (2, spheres), for either spin component, of spheres that shall be held where they are so that
-    only one minimum is left; None if there are no such spheres.
+    """Return the mask (2, spheres), for either spin component, of spheres that are held where they are so that only one
+    minimum is left; None if no such spheres are found.
 
-    A *domain* is a group of spheres that turn as one; a *welded domain* consists of domains that can only move
-    together. Two kinds of groups can move at no cost, and are held:
-
-    * Of each welded domain without a driven sphere one domain is held. It must not be one of `between` or `movable`; if
-      all are, the result is None.
-    * Of the domains that move along lines those in `between.held` are held, and each pair of `movable` in the component
-      `movable.slot`.
+    A *domain* is a group of spheres that turn as one. A *welded domain* consists of domains that can only move
+    together; it moves at no cost if it has no driven sphere. Domains of `between` and `movable` move along lines at no
+    cost. Held are:
+    * in each welded domain without a driven sphere one domain that moves along no line (None if there is none);
+    * of the domains that move along lines those of `between.held`, and the pairs of `movable` in one component each.
 
     pulls : the contacts whose friction is at its limit.
     label : (2, spheres), for either component the label of the domain of each sphere.
-    welded_domain : (2, spheres), the number of its welded domain: 0 for those that contain a driven sphere, then 1, 2,
-        ...
+    welded_domain : (2, spheres), the number of its welded domain: 0 for all with a driven sphere, then 1, 2, ...
     between : domains that move on lines between two neighbours, which pull them with the same friction.
     movable : pairs of locked domains that can move along a line; None if `label` has no locked domains.
     """
@@ -456,32 +450,32 @@ def _minimum_with_held(
     limits: ObliqueLimits,
 ) -> tuple[Slipping, np.ndarray] | None:
     """Return the slipping contacts at spins close to a minimum, and for each a bound on |slip at the minimum - slip| /
-    |slip|; None if these are not proven.
+    |slip|; None if no minimum is proven.
 
-    It is the only minimum near the stored spins if some domains (groups of spheres that turn as one) are held where
-    they are. It is a minimum without holding them, too, as known forces cancel on the held domains, and friction of the
-    resting contacts, below their limits, balances all other torques.
+    With some domains (groups of spheres that turn as one) held where they are, just one minimum is near the stored
+    spins. It is a minimum without holding them, too: the exactly known forces cancel on the held domains, and friction
+    of other resting contacts, below their limits, balances all other torques.
 
     contacts : the contacts that slip in the stored spins.
     pulls : the contacts whose friction is at its limit.
     between : domains that two neighbours pull with the same friction.
     held : (2, spheres) mask of the spheres whose domain is held, for either component.
     saturated : contacts without slip whose friction is at its limit.
-    limits : the friction of those of them that have it along both components."""
+    limits : the friction of the oblique saturated contacts, those with friction along both components."""
     motion = saturated.motion
     near = nearest_minimum(contacts.over(motion.network, _labels_of_moving(motion, pulls.slipless_domain, held)))
     if near is None:
         return None
     found, relative_change = near
-    # The pulls that were taken as known keep their signs at u*.
+    # The pulls of slipping contacts that count as exactly known have the signs of the stored spins at the minimum, too.
     known = pulls.felt & ~pulls.turned_by & pulls.in_s
     signs = np.array([np.sign(part.high) for part in found.difference])
     keep_signs = (signs == pulls.sign[:, : len(relative_change)]) | ~known[:, : len(relative_change)]
-    # They cancel on welded domains without a driven sphere, which have numbers above 0.
+    # All known pulls cancel on welded domains without a driven sphere, which have numbers above 0.
     cancel = all(pulls.known_pulls_cancel_at(pulls.welded_slipless[slot], slot)[1:].all() for slot in range(2))
     if not (keep_signs.all() and cancel and between.lie_between(pulls, found, relative_change)):
         return None
-    # Friction of T balances the other torques.
+    # Friction of the contacts below their limits balances the other torques.
     unsure = saturated.missing_friction(limits.missed(motion.network, pulls, found, relative_change))
     return near if bearable(saturated.firm, found, relative_change, unsure) else None
 
@@ -489,14 +483,14 @@ def _minimum_with_held(
 def _with_oblique(
     motion: Motion, pulls: Pulls, limits: ObliqueLimits, held: np.ndarray, near: tuple[Slipping, np.ndarray]
 ) -> tuple[Slipping, np.ndarray]:
-    """Return the contacts whose slip keeps its direction from one minimum to another, and for each a bound on
-    |slip at the minimum - slip| / |slip|. These are the slipping contacts, and the oblique ones, with the slip of a
-    slipping contact that has the direction of their friction. The unknowns are the spins of locked domains.
+    """Return the slipping and the oblique contacts of one sample as if all of them slipped, and for each a bound on
+    |slip at the minimum - slip| / |slip|. Oblique contacts rest with friction along both components. Each gets the slip
+    of its guide, a slipping contact whose slip has the direction of this friction. The unknowns are the spins of locked
+    domains.
 
-    motion : the stored spins of one sample, and which contacts rest.
-    pulls : the contacts whose friction is at its limit, among them oblique ones, which rest and have friction along
-        both components.
-    limits : the directions of the friction of the oblique contacts.
+    motion : the stored spins of the sample, and which contacts rest.
+    pulls : the contacts whose friction is at its limit, the oblique ones among them.
+    limits : the guides of the oblique contacts.
     held : (2, spheres) mask of the spheres whose domain is held, for either component.
     near : the slipping contacts close to the minimum, and for each the bound."""
     found, relative_change = near
@@ -513,11 +507,12 @@ def _with_oblique(
 def _undecided(
     pulls: Pulls, between: BetweenTwo, movable: Movable, near: tuple[Slipping, np.ndarray]
 ) -> np.ndarray | None:
-    """Return the mask (n,) of the contacts whose slips change by motions along lines, so that their states are not
-    proven; None if the direction of such a line is not known closely enough.
+    """Return the mask (n,) of the contacts whose states are not proven, as their slips change when domains move along
+    lines; None if the direction of a line is not known closely enough.
 
     pulls : the n contacts whose friction is at its limit.
-    between, movable : the domains that can move along lines: between two others, and at oblique contacts.
+    between : the domains that can move along lines between two others, and the contacts whose slips this changes.
+    movable : the pairs of domains that can move along the friction of oblique contacts.
     near : the slipping contacts close to the minimum, and for each a bound on |slip at the minimum - slip| / |slip|.
     """
     signs = movable.signs(*near)
@@ -526,6 +521,7 @@ def _undecided(
         return None
     excluded = np.array([np.isin(pulls.slipless_domain[slot], between.labels[slot]) for slot in range(2)])
     blocked = movable.blocked(pulls, signs, excluded)
+    # Add the contacts of each pair that may move, and those at it that slip, or would, along one component alone.
     for number in np.flatnonzero(~blocked).tolist():
         undecided[movable.pairs[number].contacts] = True
         for slot, label in enumerate(movable.labels[:, number].tolist()):
@@ -537,19 +533,19 @@ def _undecided(
 def _states_by_paths(
     pulls: Pulls, between: BetweenTwo, contacts: Slipping, relative_change: np.ndarray, may_differ: bool, count: int
 ) -> tuple[np.ndarray, bool | None]:
-    """Return the states (E,) of all contacts of a sample, and whether there is only one minimum: True, False, or None
-    if that is not known. At one minimum contacts may slip less or more than at another, but never backwards; shortest
-    paths along slips say how far.
+    """Return the states (E,) of all contacts of a sample; and True if there is only one minimum, False if there are
+    more, None if that is not known. From one minimum to another contacts slip less or more, but never backwards;
+    shortest paths along slips say how far that can go.
 
     pulls : the n contacts whose friction is at its limit.
     between : domains (groups of spheres) that two neighbours pull with the same friction.
-    contacts, relative_change : the slipping contacts at spins close to a minimum, and for each a bound on |slip there -
-        slip| / |slip|.
+    contacts : the slipping contacts at spins close to a minimum.
+    relative_change : (slipping contacts,), bound on |slip at this minimum - slip| / |slip|.
     may_differ : True if some domain can move at no cost, so that minima may differ. There is one minimum all the same
         if no contact is tied: a motion between minima could go on until a slip is 0, at a contact that is tied.
     count : E, number of contacts."""
-    of_c = len(pulls.in_s) - len(relative_change)  # number of contacts of C
-    # Bounds of t: the slips of S with their largest change up to u*, 0 for C.
+    of_c = len(pulls.in_s) - len(relative_change)  # number of contacts that do not slip
+    # Bounds of the slips at this minimum.
     least = np.append(contacts.size.least * (1 - relative_change) / PATH_ROUNDING, np.zeros(of_c))
     most = np.append(contacts.size.most * (1 + relative_change) * PATH_ROUNDING, np.zeros(of_c))
     state = np.where(pulls.in_s, SLIPPING, SLIPLESS)
