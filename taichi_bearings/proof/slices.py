@@ -340,7 +340,7 @@ class Grid(Listed):
         return found
 
     def slips(self, spin: list[Enclosure], shift: list[Enclosure | None], still: np.ndarray) -> Enclosure:
-        """Return the slip speeds (m,) of all contacts: the length of the difference of the signed spins of its spheres,
+        """Return the slip speed of each contact, (m,): the length of the difference of the signed spins of its spheres,
         over the components that make it slip. (Signed means times the sign of the sublattice, so equal ones roll.)
 
         spin : signed spins (times radius) of n spheres by component, C enclosures (n,).

@@ -235,7 +235,8 @@ def tied_states(motion: Motion, contacts: Slipping) -> tuple[np.ndarray, bool | 
 def _tied_states(
     motion: Motion, contacts: Slipping, saturated: Saturated, pulls: Pulls, limits: ObliqueLimits
 ) -> tuple[np.ndarray, bool | None] | None:
-    """Return what `tied_states` returns, as far as it is proven with the given saturated contacts.
+    """Return the states (E,) of one sample and whether it has one minimum, as `tied_states` does, if the saturated
+    contacts prove them; else None.
 
     motion : the stored spins of one sample and which contacts rest.
     contacts : those that slip.
@@ -404,8 +405,7 @@ def _spheres_to_hold(
     minimum is left; None if no such spheres are found.
 
     A *domain* is a group of spheres that turn as one. A *welded domain* consists of domains that can only move
-    together; it moves at no cost if it has no driven sphere. Domains of `between` and `movable` move along lines at no
-    cost. Held are:
+    together; it may move if it has no driven sphere. Domains of `between` and `movable` may move along lines. Held are:
     * in each welded domain without a driven sphere one domain that moves along no line (None if there is none);
     * of the domains that move along lines those of `between.held`, and the pairs of `movable` in one component each.
 
@@ -545,7 +545,7 @@ def _states_by_paths(
         if no contact is tied: a motion between minima could go on until a slip is 0, at a contact that is tied.
     count : E, number of contacts."""
     of_c = len(pulls.in_s) - len(relative_change)  # number of contacts that do not slip
-    # Bounds of the slips at this minimum.
+    # Bounds of the slips at this minimum: a slip with its largest change, or 0.
     least = np.append(contacts.size.least * (1 - relative_change) / PATH_ROUNDING, np.zeros(of_c))
     most = np.append(contacts.size.most * (1 + relative_change) * PATH_ROUNDING, np.zeros(of_c))
     state = np.where(pulls.in_s, SLIPPING, SLIPLESS)
