@@ -66,15 +66,15 @@ class Link:
 
 @dataclass(frozen=True)
 class BetweenTwo:
-    """The domains (groups of spheres that turn as one) that can move along lines between others, in m links.
+    """The m links of a sample that can move, each along the line between its two neighbours, and the nodes that move
+    with them. (The head of this file defines links and nodes.)
 
-    labels : for either component their labels in `Pulls.slipless_domain`.
-    held : for either component those of these labels whose domains are held where they are, so that one minimum is
-        left.
+    labels : two arrays, the labels in `Pulls.slipless_domain` of the nodes of either component.
+    held : two arrays, labels of the nodes that are held: the root of each tree, so that one minimum is left.
     slot : (m,), for each link the component (0 or 1) along which its slips must not change their signs.
     sets : m arrays with the contacts of the links, as indices in the arrays of :class:`Pulls`.
-    undecided : (n,) mask of the contacts of `Pulls` of which no state is proven: those in `sets`, and those at such a
-        domain that slip along one component alone, as their slips change when it moves."""
+    undecided : (n,) mask of the contacts of `Pulls` of which no state is proven: those in `sets`, and those at the
+        nodes that slip along one component alone, as their slips change when the node moves."""
 
     labels: tuple[np.ndarray, np.ndarray]
     held: tuple[np.ndarray, np.ndarray]
@@ -84,13 +84,13 @@ class BetweenTwo:
 
     @classmethod
     def of(cls, pulls: Pulls, contacts: Slipping) -> BetweenTwo:
-        """Return the domains (groups of spheres that turn as one) that lie between others which pull them with the same
-        friction in opposite directions.
+        """Return the links that can move, with their nodes, by the proof at the head of this file. They form trees in
+        which every link lies between its two neighbours, along the component of its node nearer to the root.
 
         pulls : the n contacts whose friction is at its limit.
         contacts : slips of those of them that slip."""
         links = _closed(pulls, _links(pulls, contacts, _where_known_pulls_cancel(pulls)))
-        # Trees of links that surely lie between their neighbours, along the component of their node nearer to the root.
+        # Keep the trees all of whose links lie between their neighbours in the stored spins.
         roots, nodes, outwards = set[Node](), set[Node](), list[tuple[Link, int]]()
         for tree in _trees(links):
             root = _farthest(tree)
@@ -98,7 +98,7 @@ class BetweenTwo:
                 roots.add(root)
                 nodes.update(node for link in tree for node in link.nodes)
                 outwards += _outwards(tree, root)
-        # Undecided are the contacts of these links, and those along one component alone at a node that moves.
+        # Undecided: the contacts of these links, and those that slip along one component alone at a node that moves.
         undecided = np.zeros(len(pulls.own), dtype=bool)
         for link, _ in outwards:
             undecided[link.contacts] = True
@@ -109,9 +109,8 @@ class BetweenTwo:
         return cls(_labels(nodes), _labels(roots), slots, sets, undecided)
 
     def lie_between(self, pulls: Pulls, contacts: Slipping, relative_change: np.ndarray) -> bool:
-        """Return True if each link (spheres between two groups that pull them in opposite directions) is proven to lie
-        between its two neighbours at the minimum, too. It does so in the stored spins. The proof is that, along the
-        component in `slot`, no slip of its contacts changes its sign from there to the minimum.
+        """Return True if each link is proven to lie between its two neighbours at the minimum, as it does in the stored
+        spins: no slip of its contacts, along the component in `slot`, changes its sign from there to the minimum.
 
         pulls : the contacts whose friction is at its limit, with the signs of the slips in the stored spins.
         contacts : the slipping contacts at spins close to the minimum.
@@ -135,19 +134,21 @@ def _where_known_pulls_cancel(pulls: Pulls) -> np.ndarray:
     the exactly known forces cancel.
 
     pulls : the contacts whose friction is at its limit."""
-    cancels = [pulls.known_pulls_cancel_at(label, slot)[label] for slot, label in enumerate(pulls.slipless_domain)]
-    free = [label >= pulls.imposed_labels(pulls.slipless_domain, s) for s, label in enumerate(pulls.slipless_domain)]
-    found: np.ndarray = np.array(cancels) & np.array(free)
+    found = np.zeros(pulls.slipless_domain.shape, dtype=bool)
+    for slot, label in enumerate(pulls.slipless_domain):
+        is_free = label >= pulls.imposed_labels(pulls.slipless_domain, slot)  # smaller labels: with a driven sphere
+        found[slot] = is_free & pulls.known_pulls_cancel_at(label, slot)[label]
     return found
 
 
 def _links(pulls: Pulls, contacts: Slipping, can_be_linked: np.ndarray) -> list[Link]:
-    """Return all links: groups of spheres that turn as one in both components, which contacts that slip in both connect
-    with just two other groups, with the same total friction limit.
+    """Return all links. A link is a group of spheres that turn as one in both components and have just two neighbours:
+    two other groups, each joined to it by a set of contacts that slip in both components. The friction limits of both
+    sets have the same sum, exactly.
 
     pulls : the contacts whose friction is at its limit.
     contacts : slips of those of them that slip.
-    can_be_linked : (2, spheres) mask of the spheres that links may have in either component."""
+    can_be_linked : (2, spheres) mask, by component, of the spheres that a link may have."""
     label, found = pulls.same_in_both, []
     # contacts that slip in both components, between two domains in either
     slips_in_both = pulls.in_s & pulls.turned_by.all(axis=0)
@@ -219,8 +220,8 @@ def _numbered(links: list[Link]) -> tuple[list[Node], np.ndarray]:
 
 
 def _outwards(tree: list[Link], root: Node) -> list[tuple[Link, int]]:
-    """Return each link of a tree with the component (0 or 1) of that of its two nodes which is nearer to the root.
-    Links come in the order in which a search from the root finds them.
+    """Return pairs (link, near) for all links of a tree, in the order in which a search from the root finds them. Each
+    link has a node of either component; `near` is the component, 0 or 1, of the node nearer to the root.
 
     tree : its links.
     root : one of its nodes."""
@@ -233,8 +234,8 @@ def _outwards(tree: list[Link], root: Node) -> list[tuple[Link, int]]:
 
 
 def _farthest(tree: list[Link]) -> Node:
-    """Return the node of a tree that moves farthest if its links move along their lines. (A node is a slipless domain
-    of one component; a link connects one of either component, and moves along the direction of its slips.)
+    """Return the node of a tree that moves farthest if every link moves along the direction of its slips. A link
+    connects two nodes, one of either component, so the motion of one node gives those of all others.
 
     tree : its links."""
     moves = {tree[0].nodes[0]: 1.0}
