@@ -83,8 +83,8 @@ def at_rest_beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
     normals have any direction. There are two ways to prove it:
 
     * A contact of a loop rests if a bound on its friction at every minimum is below its limit mu F_n.
-    * Contacts that can all roll exactly at once rest if some friction below all their limits exerts the torques of that
-      at the minimum.
+    * Contacts that can all roll exactly at once rest if friction at them, below all their limits, can exert the same
+      torques as their friction at the minimum.
 
     bounds : bounds on the power, with the friction in which forces of fictitious springs at the contacts have balanced
         all torques. If no springs were made (`unknown` is None) nothing is proven.
@@ -147,10 +147,10 @@ class ExactlyRolling:
 
     @cached_property
     def residual_unit(self) -> np.ndarray:
-        """(n,), a unit for each unknown, for bounds on corrections of the friction. If v bounds the torques along the
-        unknowns, a correction that balances them is no larger than |unit * v| / floor, with the `floor` of the exact
-        motions (step 4 at the head of this file). The unit is also theirs; but in a part (what the contacts connect
-        through free spheres) that can move without slip it is the largest one of the part."""
+        """(n,), a unit for each unknown: friction that balances torques of at most v along the unknowns need be no
+        larger than |unit * v| / `exact.floor` (step 4 at the head of this file). The unit is `exact.unit`; but in parts
+        that can move without slip all unknowns have the largest unit of their part. A part is what the exactly rolling
+        contacts connect through free spheres."""
         exact, number = self.friction_bounds.exact, self.friction_bounds.number
         unit: np.ndarray = exact.unit[number >= 0][self.columns]
         largest, has_motions = np.zeros(int(self.part.max()) + 1), np.zeros(int(self.part.max()) + 1, dtype=bool)
@@ -249,8 +249,8 @@ class ExactlyRolling:
 
     @cached_property
     def unknown_torques(self) -> np.ndarray:
-        """(n,), bound on the size of the torque on each of n unknown spin components that is no load: torque that the
-        stored friction leaves over, and rounding of the loads."""
+        """(n,), bound on the size of the torques on each of n unknown spin components that `loads` leave out: what the
+        stored friction leaves over, and the rounding of the loads."""
         rounded = self.rounding * self.friction_bounds.most_change
         for piece in self.loop_pieces:
             # terms of the sums that make the loads: friction off the loops, and that along each of them
@@ -271,10 +271,10 @@ class ExactlyRolling:
     def rests(self) -> np.ndarray:
         """Return the mask (q,) of the exactly rolling contacts that are proven to rest at every minimum.
 
-        Changes of friction at the other contacts exert torques (loads). Fictitious springs at the exactly rolling
-        contacts find friction that balances each load. A part (what these contacts connect through free spheres) rests
-        if the sum of this and the stored friction, for the largest loads, is below the limit at each of its contacts.
-        Springs are made weaker at contacts with too much friction, and tried again, up to MOST_TRIALS times."""
+        These are steps 2 to 5 at the head of this file, with its symbols. Changes of friction at other contacts exert
+        torques, the loads. Springs at the exactly rolling contacts find friction R that balances each load. A part
+        (what these contacts connect) rests if the stored friction and all R, for the largest loads, stay below every
+        limit in it. Else springs are made weaker where they bear much, and tried again, up to MOST_TRIALS times."""
         margin = np.maximum(self.margin, LEAST_MARGIN * self.margin.max())
         springs = SpringsUnderLoad.of(self, margin**2)
         most_change = self.friction_bounds.most_change[self.bounded_contacts]
@@ -317,8 +317,8 @@ class ExactlyRolling:
 
     def _borne_nearby(self, by_others: np.ndarray, residual: np.ndarray) -> np.ndarray:
         """Return the mask (q,) of the exactly rolling contacts that are proven to rest because friction on contacts
-        close to each loop can balance the friction that may circulate along it. The mask is empty if such friction is
-        not found for every loop.
+        close to each loop can balance the friction that may circulate along it. All are False if such friction is not
+        found for every loop.
 
         The friction along a loop lies in an interval. Friction that balances one end of it is sought, then friction for
         the other end. A mixture of both balances any value in between, and is nowhere larger than the larger of the
@@ -329,7 +329,8 @@ class ExactlyRolling:
         """
         network, none = self.friction_bounds.network, np.zeros(len(by_others), dtype=bool)
         friction, (middle, half_length) = self.friction_bounds.friction[self.contacts], self.intervals
-        largest, is_used = np.linalg.norm(friction, axis=1), none.copy()  # used by a loop before
+        # The size of the friction with all loops so far, what it may be, and the contacts that bear a loop already.
+        largest, is_used = np.linalg.norm(friction, axis=1), none.copy()
         limit = (1 - 2 * ROUNDED_NORMAL) * network.holding.least[self.contacts] - by_others - self._corrected(residual)
         for loop in range(len(middle)):
             load = self.loads[1][:, [loop]].toarray().ravel()
@@ -337,6 +338,7 @@ class ExactlyRolling:
             if not len(close):  # no exactly rolling contact is near, and the load is rounding
                 residual = residual + (abs(middle[loop]) + half_length[loop]) * np.abs(load) * UP
                 continue
+            # The first loop at a contact changes the stored friction; sizes for further loops are added to that.
             given = np.where(is_used[close, None], 0.0, friction[close])
             most = limit[close] - np.where(is_used[close], largest[close], 0.0)
             if not (most > 0).all():
@@ -367,8 +369,8 @@ class ExactlyRolling:
     def _change_nearby(
         self, spheres: np.ndarray, close: np.ndarray, before: tuple[np.ndarray, np.ndarray], load: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return a change of friction (k, 3) at k contacts that balances a load, such that the friction stays within
-        limits if such a change is found; and a bound (n,) on the torques that are left over.
+        """Return a change of friction (k, 3) at k contacts that balances a load, and a bound (n,) on the torques left
+        over. The changed friction is within its limits, unless no such change is found.
 
         spheres : (N,) mask of the spheres near the load.
         close : (k,), indices, among the exactly rolling contacts, of those between these spheres.
@@ -418,8 +420,8 @@ class ExactlyRolling:
         return np.asarray(np.bincount(part, ~is_below)[part] == 0)
 
     def _corrected(self, residual: np.ndarray) -> np.ndarray:
-        """Return a bound (q,) on the change of the friction of each exactly rolling contact by the last correction, by
-        step 4 of exact_motions.py.
+        """Return a bound (q,) on the change of the friction of each exactly rolling contact by the last correction
+        (step 4 at the head of this file).
 
         residual : (n,), bound on the torque on each unknown that the correction has to balance, without torques along
             motions that make no contact slip.
@@ -463,15 +465,13 @@ class SpringsUnderLoad:
     def forces_for(self, load: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return friction forces at the q contacts that balance each of m loads, and a bound on the torques left over.
 
-        A load is a torque on each of the n unknown spin components. The caller adds loads times numbers a_j of which
-        only |a_j| <= most_j is known. No friction can balance the part of a load along motions, changes of the spins
-        that make no contact slip. These parts cancel in the sum of all loads, so they are left out.
+        load : (n, m), each column a load, torques on the n unknown spin components. The true load is the sum of a_j
+            times column j, with numbers a_j that are not known.
+        most : (m,), bounds on |a_j|.
 
-        load : (n, m), torques.
-        most : (m,), bound on |a_j|.
-
-        Returns the friction (3 q, m) for a_j = 1, the three components of a contact after each other; and a bound (n,):
-        no sum of this form leaves a larger torque on an unknown.
+        Returns the friction (3 q, m) that balances each column, the three components of a contact after each other; and
+        the largest torque (n,) that such a sum can leave on each unknown. The part of a load along motions without slip
+        is left out: no friction can balance it, and in the true load these parts cancel.
         """
         rows, weight, scale = self.loaded.rows, np.repeat(self.weight, 3)[:, None], self.scale[:, None]
         force, (left, amounts) = np.zeros((rows.shape[0], load.shape[1])), self._without_motions(load)

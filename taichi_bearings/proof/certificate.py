@@ -162,15 +162,17 @@ def certifying_forces(
     force : (C, R, E), friction to begin with.
     spin_axes : the axes of the C components.
     bound : (R,), energy/time, lower bound on the objective that the forces should prove.
-    excess : (R,), objective less bound, if known: where no contact state can follow from it, forces that leave torques
-        over are good enough, and are found at once.
-    are_states_asked : False if no contact state is to be proven by them. On large lattices the same holds then.
+    excess : (R,), objective less bound; None if it is not known.
+    are_states_asked : False if no contact state is to be proven by the forces.
 
-    Forces are projected in turn on those in balance and, over-relaxed by 1.5, on the friction discs. Zero forces are in
-    both sets, so this converges linearly (Bauschke and Borwein, SIAM Review 38, 1996). A sample ends once its balanced
-    forces, divided by their largest |f| / (mu F_n), prove `bound` or need no division, or after MOST_PROJECTIONS."""
+    If no contact state can follow from `excess` (`can_prove_no_state`), or none is asked for on a large lattice with
+    friction alone, any forces that prove `bound` are returned, also those that leave torques over.
+
+    Else forces are projected in turn on those in balance and, over-relaxed by 1.5, on the friction discs. Zero forces
+    are in both sets, so this converges linearly (Bauschke and Borwein, SIAM Review 38, 1996). A sample ends once its
+    balanced forces, divided by their largest |f| / (mu F_n), prove `bound` or need no division, or after
+    MOST_PROJECTIONS."""
     given = force = _finite(scene, force)
-    # Where no contact state can follow from the bound, or none is asked for, any forces that prove it are enough.
     proves_none = excess is not None and can_prove_no_state(scene, excess)
     if proves_none or (not are_states_asked and scene.lattice.sites >= LONG_BALANCE and scene.law.is_rate_independent):
         return _most_proving(scene, given, np.full(scene.replicas, -np.inf), given, spin_axes, bound)
@@ -321,12 +323,12 @@ def work_and_bound_within(
 
 
 def relative_gap(scene: Bearing, objective: np.ndarray, bound: np.ndarray) -> np.ndarray:
-    """Return (objective - lower bound) / objective, (R,), for each of R samples; NaN where either is not a number, so
-    that nothing follows from it.
+    """Return the relative gap of each of R samples, (objective - lower bound) / unit, (R,); NaN where one of the two is
+    not a number, so that nothing follows from it.
 
-    Without a jump, or where absent contacts cut the bottom from the top, the least objective is 0. The gap is then
-    relative to the objective if all contacts slipped by the imposed jump (without one, by the imposed spin), if that is
-    larger than the given objective.
+    The unit is the objective. But where the least objective is 0 (there is no jump, or absent contacts cut the bottom
+    from the top), the unit is at least the objective that a slip of all contacts by the jump would have (without a
+    jump, by the imposed spin).
 
     scene : the R samples.
     objective : (R,), power, or potential with viscosity, energy/time.

@@ -103,8 +103,8 @@ def _pulls(
 def column_sums(
     force: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...], plain: bool, share: Share = map
 ) -> ColumnSums:
-    """Return the torques over the radius that forces leave on the driven spheres, and the sums of the sizes of those on
-    free ones, column by column.
+    """Return for each column of spheres along the height the torques over the radius that forces leave on the driven
+    spheres at both ends, and the sum of the sizes of the torques on its free spheres.
 
     force : (C, R, E), forces along the spin difference of the contacts.
     lattice : the shape of the lattice and its periodic axes.
@@ -112,10 +112,10 @@ def column_sums(
     plain : True for sums in plain doubles, False for sums with an error of about 1e-32 of the forces.
     share : a function like `map`, which may share the calls among threads.
     """
-    bottom, top, left_over = np.empty((3, *force.shape[:2], *lattice.shape[:-1]))
+    bottom, top, left_over = np.empty((3, *force.shape[:2], *lattice.shape[:-1]))  # each (C, R, *N')
 
     def of_part(part: Part) -> None:
-        """Write the sums of the columns in some planes.
+        """Write the columns in some planes to `bottom`, `top` and `left_over`.
 
         part : which samples and planes.
         """

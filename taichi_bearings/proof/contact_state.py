@@ -134,18 +134,20 @@ def unresolved(solution: Solution, times: float = 1.0) -> np.ndarray:
 def too_uneven(solution: Solution) -> np.ndarray:
     """Return the mask (R,) of those of R samples whose contacts are so uneven that their slips cannot be trusted.
 
-    A contact is lost if it could dissipate so little power that its slip is whatever rounding makes it. The power p
-    that it could dissipate is taken at a slip as fast as the smallest component of the imposed jump. The contact is
-    lost in either of two cases: p is at most LOST_POWER of the power of its sample; or p * smallest component / whole
-    jump is at most the gap between objective and lower bound. A sample is too uneven if more than LOST_CONTACTS of its
-    contacts are lost.
+    Let j be the smallest component of the imposed jump J, and p the power of a contact that slips by j times the
+    radius. The contact is lost, its slip being whatever rounding makes it, in either of two cases:
+
+    * p is at most LOST_POWER times the power of its sample;
+    * p j / J is at most the gap between objective and lower bound.
+
+    A sample is too uneven if more than LOST_CONTACTS of its contacts are lost.
 
     solution : the R samples, solved.
     """
     scene, acting = solution.scene, ~solution.scene.idle
-    at_jump = scene.strength * scene.coefficient * scene.slip_radius * scene.smallest_jump  # power of a slip by it
+    at_jump = scene.strength * scene.coefficient * scene.slip_radius * scene.smallest_jump  # p
     left = solution.objective - solution.lower_bound
-    # A small component j at right angles to the whole jump J lengthens it by j^2 / (2 J), about this share of j.
+    # j / J: a small component j at right angles to the rest of the jump lengthens it by j^2 / (2 J), such a share of j.
     share = scene.smallest_jump / scene.jump if scene.jump else np.nan
     lost = acting & ((share * at_jump <= left[:, None]) | (at_jump <= LOST_POWER * solution.power[:, None]))
     lost &= scene.smallest_jump > 0

@@ -48,8 +48,8 @@ class JudgedNetwork:
     """Spins, friction and contacts of R samples, one after the other, as enclosures in the units `speed_unit` and
     `force_unit`.
 
-    There are n spheres and m contacts in all samples together. u is spin times radius, n (as a vector) the unit normal
-    of a contact, F the friction on its second sphere; C = 1 (discs) or 3 components.
+    There are n spheres and m contacts in all samples together, and C = 1 (discs) or 3 components. u is spin times
+    radius, F the friction on the second sphere of a contact.
 
     law : the contact law.
     count : R, the number of samples.
@@ -57,8 +57,8 @@ class JudgedNetwork:
     speed_unit : a power of two; on lattices a power of two times the radius.
     force_unit : (R,), powers of two.
     spin : u by component, C enclosures (n,); on lattices times the sign of the sublattice, so that equal u roll.
-    moment : n x F, minus the torque of friction over radius on both spheres, by component, C enclosures (m,); 0 where a
-        contact takes no part.
+    moment : unit normal x F by component, C enclosures (m,). Its negative is the torque over radius on both spheres of
+        a contact. 0 where a contact takes no part.
     holding, slope : friction limits mu F_n and damping eta, enclosures (m,), 0 where a law has none.
     imposed : by component, C enclosures (n,), u of driven spheres, 0 for free ones; on lattices measured from the
         bottom.
@@ -250,8 +250,8 @@ class JudgedNetwork:
 
     @cached_property
     def exact_limits(self) -> np.ndarray | None:
-        """(m, p), friction limits in exact proportions within a sample, each as the exact sum of p doubles; None if
-        products of `factors` are so small or large that doubles may not hold them."""
+        """(m, p), friction limits, each as the exact sum of p doubles, in a unit that may differ between samples. They
+        are the products of the arrays `factors`; None if some product is too small or large for doubles to hold it."""
         if len(self.factors) == 1:
             return self.factors[0][:, None]
         found = np.stack(two_product(*self.factors), axis=1)
@@ -311,7 +311,7 @@ class JudgedNetwork:
         which different spins are imposed. All False where stored spins of driven spheres are the imposed ones."""
         if all(self.graph.shift(k) is None for k in self.components):
             return np.zeros(self.count, dtype=bool)
-        return self.motion.torn
+        return self.motion.cannot_rest
 
     @cached_property
     def own_torques(self) -> list[Enclosure]:
@@ -321,13 +321,13 @@ class JudgedNetwork:
 
     @cached_property
     def own_moment(self) -> list[Enclosure]:
-        """Moments n x F of the stored friction F (minus its torque over radius on both spheres of a contact), by
-        component, C enclosures (m,). They are set to 0 for contacts that dissipate at no minimum, and along components
-        in which no driven sphere does work."""
-        own, all_count = self.graph.can_do_work(self.box), bool((self.counts == self.acts).all())
-        pairs = zip(self.moment, own, strict=True)  # moments are 0 where nothing acts
+        """The stored moments (`moment`) by component, C enclosures (m,), but 0 for contacts that dissipate at no
+        minimum, and along components in which no driven sphere does work."""
+        can_work = self.graph.can_do_work(self.box)
+        all_count = bool((self.counts == self.acts).all())  # moments are 0 where nothing acts
         return [
-            (part if all_count else part.where(self.counts)) if some else zeros(len(self.acts)) for part, some in pairs
+            (part if all_count else part.where(self.counts)) if works else zeros(len(self.acts))
+            for part, works in zip(self.moment, can_work, strict=True)
         ]
 
     @property
@@ -342,18 +342,18 @@ class JudgedNetwork:
         return self.graph.lengths(self.own_friction)
 
     @property
-    def joins(self) -> np.ndarray:
+    def must_slip(self) -> np.ndarray:
         """(R,) mask of the samples of a lattice in which some contact has to slip: in some spin component bottom and
         top are driven differently, and contacts which that component makes slip connect both planes."""
         if self.is_whole:
             return np.full(self.count, bool(self.needed))
-        return Motion(self, self.acts).torn
+        return Motion(self, self.acts).cannot_rest
 
     def torques(self, moment: list[Enclosure]) -> list[Enclosure]:
         """Return the sum at each of the n spheres of the moments of its contacts, by component, C enclosures (n,).
 
-        moment : n x F of the m contacts, F being friction, by component, C enclosures (m,). It is added with the same
-            sign at both spheres of a contact."""
+        moment : the moments of m contacts by component, C enclosures (m,). They are added with the same sign at both
+            spheres of a contact."""
         return self.graph.torques(moment)
 
     @cached_property
@@ -380,8 +380,8 @@ class JudgedNetwork:
         return self.graph.signs(self.feels)
 
     def _is_needed(self, k: int) -> bool:
-        """Return False if with the imposed spins some spins of the free spheres let no contact slip along component k.
-        Then nothing slips along it at any minimum. Return True otherwise."""
+        """Return True if contacts may slip along spin component k at some minimum; False if free spheres can turn such
+        that, with the imposed spins, none slips along it, since any such slip would only cost power."""
         label, odd, sign = self.signs(k)
         driven = np.flatnonzero(~self.free)
         # Nothing slips if all driven spheres of a part have one imposed spin but for the signs, 0 where loops are odd.
@@ -465,25 +465,25 @@ class Motion:
         others = np.flatnonzero(anchor != np.arange(size))
         return pieces(size, np.append(first, others), np.append(second, anchor[others]))
 
-    def _models(self, k: int) -> np.ndarray:
+    def _leaders(self, k: int) -> np.ndarray:
         """Return for each sphere (n,) the index of the sphere whose spin it takes in component k: among those that
         resting contacts join with it the last driven one, or, if none is driven, the first one."""
         domain = self.domain[k]
-        model = np.empty(domain.max(initial=-1) + 1, dtype=np.intp)
+        leader = np.empty(domain.max(initial=-1) + 1, dtype=np.intp)
         for spheres in (np.arange(len(domain))[::-1], np.flatnonzero(~self.network.free)):
-            model[domain[spheres]] = spheres  # the last that is written stays
-        found: np.ndarray = model[domain]
+            leader[domain[spheres]] = spheres  # the last that is written stays
+        found: np.ndarray = leader[domain]
         return found
 
     @cached_property
-    def torn(self) -> np.ndarray:
-        """(R,) mask of the samples in which resting contacts join driven spheres that are driven differently: with
-        these contacts at rest no motion exists."""
+    def cannot_rest(self) -> np.ndarray:
+        """(R,) mask of the samples in which the resting contacts cannot all be at rest, since they join driven spheres
+        with different imposed spins."""
         network, found = self.network, np.zeros(self.network.count, dtype=bool)
         driven = np.flatnonzero(~network.free)
         for k in (k for k in network.components if network.imposed[k].high.any() and self.joins(k)):
-            signed, model = network.imposed[k].signed(network.sign[k]), self._models(k)[driven]
-            differs = np.any([part[driven] != part[model] for part in signed.parts[:2]], axis=0)
+            signed, leader = network.imposed[k].signed(network.sign[k]), self._leaders(k)[driven]
+            differs = np.any([part[driven] != part[leader] for part in signed.parts[:2]], axis=0)
             found[driven[differs] // (len(network.free) // network.count)] = True
         return found
 
@@ -511,11 +511,11 @@ class Motion:
         network = self.network
         signed = network.graph.signed(network.spin[k], network.sign[k])
         if (self.rests & ~network.still).any():
-            signed = signed.at(self._models(k))
+            signed = signed.at(self._leaders(k))
         shift = network.graph.shift(k)
         if shift is None or not (shift.high.any() or shift.error.any()):
             return signed, None
-        return signed, shift.at(self._models(k)) if self.joins(k) else shift
+        return signed, shift.at(self._leaders(k)) if self.joins(k) else shift
 
     @cached_property
     def slip(self) -> Enclosure:

@@ -225,9 +225,10 @@ class Judgement:
 
     @property
     def proof(self) -> np.ndarray:
-        """(R,), for each of R samples words that say for which spins its lower bound is proven: of all, or of those up
-        to some speed."""
-        return np.where(self.can_all_rest, PROVEN, PROVEN if self.can_all_rest.all() else self.bounds.proof)
+        """(R,), for each of R samples a text: PROVEN if its lower bound holds for all spins, else the words that
+        restrict it to spins up to some speed."""
+        otherwise = PROVEN if self.can_all_rest.all() else self.bounds.proof  # bounds only where they are needed
+        return np.where(self.can_all_rest, PROVEN, otherwise)
 
     @property
     def largest_torque(self) -> np.ndarray:

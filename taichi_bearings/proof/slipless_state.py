@@ -59,7 +59,7 @@ def _planes_are_separate(network: JudgedNetwork) -> np.ndarray:
     absent = network.graph.any_end(network.free) & ~network.acts
     if not absent.any():
         return np.zeros(network.count, dtype=bool)
-    return ~network.joins
+    return ~network.must_slip
 
 
 def imposed_exactly(network: JudgedNetwork) -> bool:

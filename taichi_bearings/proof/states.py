@@ -430,7 +430,7 @@ def _one_minimum(motion: Motion, contacts: Slipping) -> tuple[Slipping, np.ndarr
 
     Returns the slipping contacts close to the minimum, and for each of them a bound (n,) on |slip there - slip| /
     |slip|; or a text with the reason why this is not proven."""
-    if motion.torn.any():
+    if motion.cannot_rest.any():
         return "contacts without slip join driven spheres with different imposed spins"
     if not _saturated(motion.network, contacts):
         return "some contacts slip although their friction is not at its limit"

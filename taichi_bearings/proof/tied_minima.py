@@ -214,7 +214,7 @@ def tied_states(motion: Motion, contacts: Slipping) -> tuple[np.ndarray, bool | 
     if len(motion.network.needed) != 2:  # three, where spheres are driven inside a packing
         return None
     coefficient = motion.network.exact_limits
-    if coefficient is None or motion.torn.any() or not (contacts.size.least > 0).all():
+    if coefficient is None or motion.cannot_rest.any() or not (contacts.size.least > 0).all():
         return None
     # Guess which contacts are saturated; where friction does not balance some of them are left out for another try.
     for missed in MISSED_SHARES:
