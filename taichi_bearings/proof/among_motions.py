@@ -48,11 +48,11 @@ FIRMER, ADDED, MOST_BALANCING = 1e2, 1e-13, 6
 
 @dataclass(frozen=True)
 class Reduced(Coordinates):
-    """The m coordinates w, with the curvature as a quadratic form |B P C w|^2 of them.
+    """Coordinates w, m numbers that give the changes P C w of the n unknown spin components (head of this file).
 
-    form : the form.
-    basis : C, (m, m).
-    motions : P, (n, m), whole numbers.
+    form : the curvature of the potential, a quadratic form |B P C w|^2 of w; that of changes x is |B x|^2.
+    basis : C, (m, m), by which slow contacts have coordinates to themselves.
+    motions : P, (n, m), whole numbers; the exactly rolling contacts roll in the changes P v, for any v.
     """
 
     basis: sparse.csr_array
@@ -133,8 +133,9 @@ class CentreAmongMotions(Centre):
         return np.flatnonzero(~self.exact.contacts[self.resting])
 
     def reduced(self, stiffness: np.ndarray) -> Reduced | None:
-        """Return the curvature of the potential in coordinates w, of which each slow contact has one to itself: the
-        change of its slip across itself. Return None if some coordinate changes no slip.
+        """Return coordinates w with the curvature of the potential in them; None if some coordinate changes no slip.
+        Each slow contact has a coordinate to itself, the change of its slip at right angles to the slip. (`STIFF` and
+        `SOME_ACROSS` say which contacts are slow.)
 
         stiffness : (l,), of springs at the l loose contacts (resting ones that need not roll exactly), force over slip
             speed.
@@ -164,9 +165,11 @@ class CentreAmongMotions(Centre):
         """Return a copy with spins closer to the minimum among those at which the resting contacts do not slip, and
         with friction of these contacts that balances all torques. Nothing about the result is proven.
 
-        Newton's method is used with one matrix, and with springs at the loose contacts alone (resting ones that need
-        not roll exactly). It ends once a step does not halve the torques along the motions. Then springs at all resting
-        contacts take the other torques. If the curvature cannot be factorised, nothing is changed."""
+        1. Steps of Newton's method, with one matrix, reduce the torques along the motions until a step does not halve
+           them. There are springs at the loose contacts alone, resting ones that need not roll exactly.
+        2. Springs at all resting contacts find the friction that balances what is left (`_balanced`).
+
+        If the curvature cannot be factorised, nothing is changed."""
         stiffest = float((self.strength.value / self.size.value)[self.with_friction].max(initial=1.0))
         stiffness = np.full(len(self.loose_places), FIRMER * stiffest)
         curvature = self.reduced(stiffness)
@@ -227,13 +230,13 @@ def times_exact(
 
 
 def basis_for(rows: sparse.csr_array) -> sparse.csr_array:
-    """Return a matrix C, (m, m), such that each of some independent rows, divided by its length, has one entry 1 after
-    a product with C, and else 0 but for rounding. All other rows depend on these.
+    """Return a matrix C, (m, m), of other coordinates w, v = C w, of which each of some independent rows has one to
+    itself: row . v over the length of the row is a number of w, but for rounding. All other rows depend on these.
 
     rows : (r, m), each of its rows not 0; those that come first are preferred.
 
-    The equations (row) . v = w of independent rows are solved for some columns of v, the pivots. So v = C w, where w is
-    v at all other columns. Rows that share columns are solved together, in a dense matrix.
+    A row gives its number to w in place of one number of v, its pivot; other numbers of w are those of v. The equations
+    are solved for the pivots. Rows that share columns are solved together, in a dense matrix.
     """
     count, begin = rows.shape[1], rows.indptr[:-1]
     first = np.repeat(rows.indices[begin], np.diff(rows.indptr))

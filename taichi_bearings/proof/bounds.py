@@ -47,8 +47,8 @@ class Bounds:
     * Its torques do not quite cancel on free spheres. Where contacts are not along the axes, forces of fictitious
       *springs* at the contacts are added that cancel them, but for rounding. Call the friction F after that.
     * A factor s <= 1 brings s |F| within the friction limit of every contact without damping.
-    * The bound is s times the work of the driven spheres against F, less two amounts: the price of torques that are
-      left, and the cost of s |F| beyond the friction limit at contacts with damping.
+    * The bound is s times the work of the driven spheres against F, less s times the price of torques that are left,
+      less the cost of s |F| beyond the friction limit at contacts with damping.
 
     network : the R samples, with their spins, friction and coefficients.
     upper, lower : (R,), the bounds, rounded up and down.
@@ -102,16 +102,16 @@ class Bounds:
 
     @classmethod
     def of(cls, network: JudgedNetwork) -> Bounds:
-        """Compute the bounds of all samples of a network.
+        """Return the bounds of all samples of a network. Where samples need different proofs each is computed alone.
 
-        Upper bound: the potential of the stored spins. Lower bound: the work of the driven spheres against the
-        friction, less the largest cost of its unbalanced torques at the spins of a minimum; all of it divided by the
-        largest ratio of friction to its limit; less the cost of friction beyond the limit at contacts with damping.
+        Upper bound: the potential of the stored spins. Lower bound, in this order:
+        1. the work of the driven spheres against the friction, less the most that its unbalanced torques may cost;
+        2. divided by the largest ratio of friction to its limit, over contacts without damping;
+        3. less the cost of friction beyond the limit at contacts with damping.
 
-        network : R samples with stored spins and friction. Where they need different proofs each is computed alone."""
+        network : R samples with stored spins and friction."""
         potential, count = network.dissipated(0.5), network.count
-        # Upper bound: any spins have a potential that is not below the least, but spins that cannot exist prove
-        # nothing.
+        # Any spins have a potential that is not below the least, but spins that cannot exist prove nothing.
         upper = np.where(network.impossible, np.inf, potential.upper())
         if network.mixes and count > 1 and not (upper > 0).all():
             return cls.one_by_one(network)
@@ -119,7 +119,7 @@ class Bounds:
             network = replace(network, rolling=rolling(network))
             if len(set(network.samples_that_mix.tolist())) > 1:  # without `rolling` some samples need no springs
                 return cls.one_by_one(network)
-        # Lower bound: price of the torques that the friction leaves over, at spins of at most the imposed size.
+        # Cost of the torques that the friction leaves over, at spins of at most the imposed size or by springs.
         friction, unknown = network.own_friction, None
         torques, proof = network.own_torques, np.full(network.count, PROVEN)
         left = np.array([_largest(network, torque) for torque in torques])
@@ -129,15 +129,14 @@ class Bounds:
             if balance is None:
                 return cls.one_by_one(network)
             friction, torques, unknown, proof, cost_of_torques = balance
-        # Work of the driven spheres, less that price.
+        # 1. Work of the driven spheres, less that cost.
         work = -cost_of_torques
         for torque, imposed in zip(torques, network.imposed, strict=True):
             driven = np.flatnonzero(imposed.high)
             if len(driven):
                 work = work + row_sum((torque.at(driven) * imposed.at(driven)).reshaped((count, -1)))
         size = network.graph.lengths(friction) if network.mixes else network.own_size
-        # Divide F by its worst ratio to the limit, over contacts without viscosity, and subtract the cost of friction
-        # beyond the limit at the others, (|F| - mu F_n)^2 / (2 eta).
+        # 2. The worst ratio of F to its limit. 3. The cost of F beyond the limit, (|F| - mu F_n)^2 / (2 eta).
         undamped = network.counts & (network.slope.high == 0)
         damped = np.flatnonzero(network.counts & (network.slope.high > 0))
         worst = _largest_ratio(network, size, undamped)
@@ -158,12 +157,12 @@ class Bounds:
 def _balanced_by_springs(
     network: JudgedNetwork, upper: np.ndarray
 ) -> tuple[list[Enclosure], list[Enclosure], np.ndarray | None, np.ndarray, Enclosure] | None:
-    """Return the stored friction with forces of fictitious springs at the contacts added, so that torques on free
-    spheres cancel, with the torques that are left. This is for contacts that are not along the axes.
+    """Return friction whose torques on free spheres cancel but for rounding, and what these torques cost. It is the
+    stored friction plus forces of fictitious springs at the contacts. This is for contacts that are not along the axes.
 
-    Rounding leaves some torques. They can reduce the lower bound by their size times the largest spins (times radius)
-    of some minimum. If these are not proven to be small, FASTEST_COMPARED times the fastest imposed speed is taken in
-    their place, and the bound is proven for such spins alone.
+    The torques of rounding can reduce the lower bound by their size times the largest spins (times radius) of some
+    minimum. Where such spins are not proven to be slow, FASTEST_COMPARED times the fastest imposed speed is taken in
+    their place, and the bound is proven for spins up to that alone.
 
     network : R samples with n spheres and m contacts in all.
     upper : (R,), potentials of the stored spins.
@@ -179,7 +178,8 @@ def _balanced_by_springs(
     if springs is None and count > 1:
         return None
     friction, torques, unknown = network.own_friction, network.own_torques, None
-    fastest, reach = FASTEST_COMPARED * float(network.box.max(initial=0.0)), np.full(count, np.inf)
+    fastest = FASTEST_COMPARED * float(network.box.max(initial=0.0))
+    reach = np.full(count, np.inf)  # (R,), bound on spins times radius at some minimum
 
     def sum_of_sizes(torques: list[Enclosure]) -> np.ndarray:
         """Return for each of R samples an upper bound (R,) on the sum of |torque over radius| over all components and
@@ -190,8 +190,8 @@ def _balanced_by_springs(
         found: np.ndarray = np.sum(by_component, axis=0) * UP
         return found
 
-    def cost(torques: list[Enclosure]) -> np.ndarray:
-        """Return for each of R samples the power (R,) that torques may cost at most, at the spins of some minimum.
+    def cost(torques: list[Enclosure], reach: np.ndarray) -> np.ndarray:
+        """Return for each of R samples the power (R,) that torques may cost at most at spins up to `reach`.
 
         torques : for each component the torques over radius left over on n spheres, enclosures (n,)."""
         with np.errstate(invalid="ignore"):
@@ -200,12 +200,13 @@ def _balanced_by_springs(
 
     if springs is not None:
         reach, unknown = springs.reach, springs.number >= 0
-        friction, torques = springs.balanced(lambda torques: cost(torques) > HARDLY_PAID * upper)
-        is_too_large = (reach > fastest) & (cost(torques) > PAID * upper)
+        friction, torques = springs.balanced(lambda torques: cost(torques, springs.reach) > HARDLY_PAID * upper)
+        is_too_large = (reach > fastest) & (cost(torques, reach) > PAID * upper)
         if is_too_large.any():  # the bound by equally stiff springs may be smaller
             reach = np.where(is_too_large, np.minimum(reach, springs.even_reach), reach)
-    known = (reach <= fastest) | (cost(torques) <= PAID * upper)
-    lost = Enclosure.exact(np.where(known, cost(torques), sum_of_sizes(torques) * fastest))
+    at_reach = cost(torques, reach)
+    known = (reach <= fastest) | (at_reach <= PAID * upper)
+    lost = Enclosure.exact(np.where(known, at_reach, sum_of_sizes(torques) * fastest))
     return friction, torques, unknown, np.where(known, PROVEN, WITHIN), lost
 
 

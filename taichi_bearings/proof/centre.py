@@ -30,13 +30,14 @@ NEGLIGIBLE = 1e-20  # leftover torque, in units of the largest friction, that no
 
 @dataclass(frozen=True)
 class LooseFloor:
-    """A proven relation between spins and slips of the *loose* contacts of a packing: those that rest, but need not
-    roll exactly. Spins of the free spheres that no exactly rolling contact touches can give any slips y to them.
+    """Two proven bounds about the *loose* contacts of a packing, those that rest, but need not roll exactly, and the
+    loose spheres, free ones that no exactly rolling contact touches:
+
+    * any slips y of loose contacts are those of some spins of loose spheres with a norm of at most |unit y| / floor;
+    * friction on loose contacts that exerts torques r is at most unit |r| / floor at a contact.
 
     floor : (R,), for each of R samples; infinite if there is no such contact, 0 if nothing is proven.
-    unit : (E,), a number for each contact. Slips y need spins no larger than the norm of unit |y| over `floor`.
-        If friction on the loose contacts exerts torques of the norm |r|, its size at a contact is at most
-        unit |r| / floor.
+    unit : (E,), a number for each contact.
     """
 
     floor: np.ndarray
@@ -93,8 +94,7 @@ class Centre:
 
     network : R samples of a packing, with N spheres and E contacts in all.
     exact : motions of spheres in which some resting contacts roll exactly.
-    loose : how firmly the *loose* contacts hold, resting ones that need not roll exactly, by the spheres that exact
-        motions leave out.
+    loose : bounds about the *loose* contacts, resting ones that need not roll exactly.
     number : (N, 3), the index of each spin component among the n unknowns; -1 for those that are none.
     slipping, resting : (S,) and (T,), indices of the contacts.
     spin : spins times radius by component, 3 enclosures (N,).
@@ -414,10 +414,9 @@ class Centre:
         """(S,), for each of S slipping contacts a bound on the distance of its slip from that at some spins in V. V are
         all spins at which no resting contact slips.
 
-        Let y be the slips of the loose contacts (those that rest, but need not roll exactly). Some change of spins
-        brings all of them to rest; its norm is at most |unit y| / floor, with unit and floor of `LooseFloor`. It moves
-        only the loose spheres, those without an exactly rolling contact, and changes another slip of these by at most
-        twice its norm. The bound is 0 for contacts elsewhere."""
+        Let y be the slips of the loose contacts (those that rest, but need not roll exactly). Some change of the spins
+        of loose spheres (those without an exactly rolling contact) brings y to 0. Its norm is at most |unit y| / floor
+        by `LooseFloor`. It changes the slips of contacts at loose spheres by at most twice its norm, and no others."""
         loose = np.setdiff1d(self.resting, np.flatnonzero(self.exact.contacts))  # they need not roll exactly
         unit, sample = self.loose.unit[loose], self.network.sample_of(loose)
         scaled_slip = np.sqrt(sum(self._norms(unit * part.most[loose], sample) ** 2 for part in self.slips))
@@ -432,15 +431,15 @@ class Centre:
         return None if curvature is None else Coordinates(curvature)
 
     def _distance_of_minimum(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Bound how far the minimum is, the only one in V, which are all spins at which no resting contact slips.
-        Return three arrays:
+        """Bound how far the minimum in V is; V are all spins at which no resting contact slips. Return three arrays:
 
         1. for each of the S slipping contacts a bound (S,) on |slip at the minimum - slip at these spins|,
         2. for each a bound (S,) on the difference between the unit vectors along both, 0 without friction,
-        3. the mask (R,) of the samples for which this is proven.
+        3. the mask (R,) of the samples for which this is proven, and that V has just one minimum.
 
-        Proof. Along V the potential has at least the curvature tau and a small slope, with the bound rho of `_radius`.
-        Let x be the change of the coordinates to the minimum, each in its own unit. Then
+        Proof. |B x|^2 is the curvature of the potential for a change x of the coordinates, each in its own unit, and
+        tau its floor: |B x|^2 >= tau |x|^2. The slope is small; rho and z are those of `_radius`. Let x be the change
+        to the minimum. Then
 
             |x| <= 8.4 rho    and    |B x| <= 9 tau^1/2 rho.
 
@@ -508,16 +507,16 @@ class Centre:
 
             rho = (|B z| + |r - B^T B z| / tau^1/2 + |a|) / tau^1/2,
 
-        in coordinates each of which has its own unit, for the motion z of :func:`newton_step`.
+        in coordinates each of which has its own unit. |B x|^2 is the curvature for a change x, tau its floor, and z the
+        motion of :func:`newton_step`. The slope of the potential along x is r . x + a . B x while no resting contact
+        slips. It has two parts:
+        r : the torques that friction leaves over; the error of the size of friction at slipping contacts is added.
+        a : for the angle between friction F and slip y. F has a component F angle across y. Divided by the root of the
+            curvature F / |y| (of friction and damping together) it is angle (F |y|)^1/2, an entry of a. Along y this F
+            is shorter by F angle^2 / 2 at most, which is added to r.
 
         coordinates : the coordinates, with the matrix B.
         floor : tau, the units, and a factor of B^T B.
-
-        The slope of the potential, along spins at which no resting contact slips, has two parts: the torques r that
-        friction leaves over, and a vector a for the angle between friction and slip. Friction F at a small angle to the
-        slip y has a component F angle across y. Divided by the root of the curvature F / |y| (of friction and damping
-        together) it is angle (F |y|)^1/2, an entry of a. Along y this F is shorter by F angle^2 / 2 at most, which is
-        added to r, like the difference between the size of F and that of the law.
         """
         form, is_unknown, values = coordinates.form, self.number >= 0, self.torque_values
         angle, size_error, size_by_law = self._distance_from_slip_direction(self.distance_to_v)
@@ -541,8 +540,8 @@ class Centre:
         1. a bound on the size of the difference between the unit vectors along F and along the slip; 0 for contacts
            without friction,
         2. a bound on the difference between |F| and the size that the law demands; for contacts without friction on the
-           size of the vector difference,
-        3. an upper bound on that size.
+           length of the difference between both vectors,
+        3. an upper bound on the size that the law demands.
 
         to_v : (S,), a speed: the slips in V may differ from the stored ones by up to this.
         """
@@ -584,11 +583,7 @@ class Centre:
 
 
 def _without_error(values: Enclosure) -> Enclosure:
-    """Return enclosures with their error bounds dropped, in the same shape: sums of two doubles that are taken as
-    exact.
-
-    values : the enclosures.
-    """
+    """Return the enclosures `values` with their error bounds dropped: sums of two doubles that are taken as exact."""
     return Enclosure.exact(values.high, values.low)
 
 

@@ -166,12 +166,10 @@ def certifying_forces(
     are_states_asked : False if no contact state is to be proven by the forces.
 
     If no contact state can follow from `excess` (`can_prove_no_state`), or none is asked for on a large lattice with
-    friction alone, any forces that prove `bound` are returned, also those that leave torques over.
-
-    Else forces are projected in turn on those in balance and, over-relaxed by 1.5, on the friction discs. Zero forces
-    are in both sets, so this converges linearly (Bauschke and Borwein, SIAM Review 38, 1996). A sample ends once its
-    balanced forces, divided by their largest |f| / (mu F_n), prove `bound` or need no division, or after
-    MOST_PROJECTIONS."""
+    friction alone, any forces that prove `bound` are returned. Else forces are projected in turn on those in balance
+    and, over-relaxed by 1.5, on the friction discs. Zero forces are in both sets, so this converges linearly (Bauschke
+    and Borwein, SIAM Review 38, 1996). A sample ends after MOST_PROJECTIONS, or once its balanced forces, divided by
+    their largest |f| / (mu F_n), prove `bound` or need no division."""
     given = force = _finite(scene, force)
     proves_none = excess is not None and can_prove_no_state(scene, excess)
     if proves_none or (not are_states_asked and scene.lattice.sites >= LONG_BALANCE and scene.law.is_rate_independent):

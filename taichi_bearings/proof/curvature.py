@@ -274,15 +274,15 @@ def _bound_on_changes(contacts: Slipping, curvature: Curvature, last: bool) -> n
     """Return a bound (n,) on |slip at the minimum - slip| / |slip| for each of n slipping contacts; None if it is not
     proven, or if there might be several minima within it.
 
-    Let h be the diagonal of the curvature, tau a number such that the curvature is at least tau h, and g the slope of
-    the power, measured by 1 / h. As long as a slip changes by no more than a quarter, it resists by at least 0.72 of
-    its curvature. So the minimum is within the radius rho = |g| / (0.72 tau), if slips change by no more than a quarter
-    there.
+    Let h be the diagonal of the curvature in the variables v of :class:`Curvature`, tau h a proven lower bound of it,
+    and g the slope of the power along each v, over the root of its h. As long as a slip changes by no more than a
+    quarter, it resists by at least 0.72 of its curvature. So the minimum is where the sum of h v^2 is at most rho^2,
+    with rho = |g| / (0.72 tau), if slips change by no more than a quarter there.
 
     contacts : slips at the spins that are tried.
     curvature : of the power at these spins.
-    last : True if no further trial follows. If False, tau is computed, which costs an elimination, only where the bound
-        would be small enough with CURVATURE_SHARE / 2 for tau, which most networks exceed."""
+    last : False if other spins can be tried after these. Then tau, which takes an elimination, is computed only if
+        CURVATURE_SHARE / 2 in its place would do; most networks have a larger tau."""
     root, block = np.sqrt(curvature.form.squares), contacts.blocks()
     slope = curvature.clusters.T @ contacts.slope().most
 
@@ -322,8 +322,8 @@ def bearable(
     motion : the network of N spheres, and which contacts rest. These join spheres to domains, which turn as one.
     contacts : the n slipping contacts close to the minimum.
     relative_change : (n,), bound on |slip at the minimum - slip| / |slip|.
-    unsure : by component k, (N,), in units of force: how far the sum of the friction that contacts at their limit exert
-        on each sphere may be from that at the minimum (tied_minima.py); None if there are no such contacts."""
+    unsure : by component k a force (N,), for contacts at their limit (tied_minima.py): a bound on how much the sum of
+        their friction on each sphere changes up to the minimum. None if there are no such contacts."""
     network, added_by_domain = motion.network, {}
     torques = network.own_torques
     off = _change_of_friction(motion, contacts, relative_change)
@@ -579,9 +579,11 @@ def _row_scaled(
 def _curvature_rows(
     contacts: Slipping, changes: list[sparse.csr_array]
 ) -> tuple[sparse.csr_array, sparse.csr_array, np.ndarray]:
-    """Return three things: a matrix A such that the curvature of the power is |A x|^2 for changes x of the unknowns; a
-    matrix of the same shape with bounds on the errors of the entries of A; and for each row of A the contact, 0 to n -
-    1, to which it belongs. An unknown is the spin of a free domain, a group of spheres that turn as one.
+    """Return the matrix A of the curvature of the power, |A x|^2 for changes x of the unknowns: three things,
+
+    1. A, (rows, unknowns);
+    2. bounds on the errors of its entries, a matrix of its shape;
+    3. (rows,), the contact, 0 to n - 1, to which each row belongs.
 
     contacts : the n slipping contacts.
     changes : two matrices (n, unknowns) that give both components of the changes of slips.
@@ -592,8 +594,8 @@ def _curvature_rows(
     """
     # The unit vector at right angles to each slip, two components.
     across, stiffness = (-contacts.direction[1], contacts.direction[0]), contacts.stiffness
-    # Relative error of the root: at most that of its square, and 16 roundings where a root, products and a sum make
-    # five; the others are for the products of a form's matrix with units.
+    # Relative error of the root: at most that of its square, and 16 roundings: five of a root, products and a sum; the
+    # others are for later products of A with units.
     root, inexact = np.sqrt(stiffness.value), stiffness.error / stiffness.least + 16 * EPS
     rows, doubt = [], []
     for part, change in zip(across, (whole[contacts.curved] for whole in changes), strict=True):
@@ -708,7 +710,8 @@ def _floor_by_guess(
     missed = elimination.distance_from_positive(guess)
 
     def is_proven(difference: np.ndarray | float) -> np.ndarray:
-        """Return (R,): whether half of the guess is proven if the products differ by `difference` at most."""
+        """Return the mask (R,) of the samples in which half of the guess is proven, if the matrices A^T A of all these
+        A differ from each other by no more than `difference`."""
         half_is_left: np.ndarray = (found == 0) & (guess - (missed + rounding + difference) * UP > guess / 2)
         return half_is_left
 

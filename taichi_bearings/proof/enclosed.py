@@ -40,8 +40,8 @@ def judged_network(
 
 
 def _on_lattice(samples: OnLattice) -> JudgedNetwork:
-    """Return the network of R samples of a lattice for the proofs, with its numbers as enclosures in units that are
-    powers of two (speeds: times the radius).
+    """Return the network of R samples of a lattice for the proofs, with its numbers as enclosures. Forces are in a unit
+    that is a power of two, speeds in a power of two times the radius.
 
     samples : the samples, whose scales have been checked (`can_be_judged`)."""
     scene, grid, force = samples.scene, Grid(samples), samples.force_unit
@@ -49,16 +49,16 @@ def _on_lattice(samples: OnLattice) -> JudgedNetwork:
     coefficient, free = scene.coefficient.ravel(), np.ones(grid.spheres, dtype=bool)
     for plane in (0, -1):
         grid.on_spheres(free)[..., plane] = False
-    acts, none = grid.any_end(free) & (coefficient != 0), np.broadcast_to(0.0, grid.contacts)  # takes no memory
-    zero = Enclosure(none, none, none)
-    # Friction limits mu F_n and damping eta in units of `force` and of the speed radius * spin_unit.
-    unit, speed = power_of_two(strength), radius * (samples.spin_unit / force)
-    holding = Enclosure.exact(coefficient / (force / unit)).times(np.array([strength / unit]))
-    viscosity = scene.named_coefficients.get("viscosity", coefficient).ravel()
+    acts, zeros = grid.any_end(free) & (coefficient != 0), np.broadcast_to(0.0, grid.contacts)  # takes no memory
+    zero = Enclosure(zeros, zeros, zeros)
+    # Friction limits mu F_n; both factors are divided by powers of two. Then eta, times the unit of speed over force.
+    scale, viscosity = power_of_two(strength), scene.named_coefficients.get("viscosity", coefficient).ravel()
+    limit = Enclosure.exact(coefficient / (force / scale)).times(np.array([strength / scale]))
+    speed_over_force = radius * (samples.spin_unit / force)
     return JudgedNetwork(
         law, samples.count, free, radius * samples.spin_unit, np.full(samples.count, force),
-        list(samples.signed_spin.values()), grid.moment(acts), holding if law.has_friction else zero,
-        Enclosure.exact(viscosity).times(np.array([speed])) if law.has_viscosity else zero,
+        list(samples.signed_spin.values()), grid.moment(acts), limit if law.has_friction else zero,
+        Enclosure.exact(viscosity).times(np.array([speed_over_force])) if law.has_viscosity else zero,
         [grid.imposed(k) for k in samples.components], grid, factors=(coefficient,),
     )  # fmt: skip
 
@@ -77,8 +77,8 @@ def _in_lists(packing: Bearing, spin: np.ndarray, rounding: np.ndarray, friction
     friction = friction.reshape(count, contacts.contacts, contacts.components)
     spin = np.where(free[:, None], spin, imposed)
     rounding = np.where(free[:, None], rounding, 0.0)
-    # where all radii are the same, speeds are measured in it, and none is rounded
-    unit, radius = (float(radius[0]), np.ones(len(radius))) if (radius == radius[0]).all() else (1.0, radius)
+    # Lengths are in the radius if it is the same for all spheres: then radii are 1, and no speed is rounded.
+    length, radius = (float(radius[0]), np.ones(len(radius))) if (radius == radius[0]).all() else (1.0, radius)
     fastest = float(np.abs(imposed * radius[:, None])[~free].max(initial=0.0)) or 1.0
     coefficient, *further = packing.named_coefficients.values()
     normal_force = np.broadcast_to(packing.normal_force if law.has_friction else 1.0, coefficient.shape)
@@ -86,17 +86,17 @@ def _in_lists(packing: Bearing, spin: np.ndarray, rounding: np.ndarray, friction
     limit, damping = coefficient * normal_force, np.zeros(coefficient.shape)
     if law.has_viscosity:
         damping = further[0] if law.has_friction else coefficient
-    largest = damping.max(axis=1, initial=0.0) * unit * fastest
+    largest = damping.max(axis=1, initial=0.0) * length * fastest
     largest = np.maximum(limit.max(axis=1, initial=0.0) if law.has_friction else 0.0, largest)
-    # Scale speeds and forces by powers of two, by which nothing is rounded; forces of each sample by one of its own.
-    if not all(LEAST_SPEED < fast < MOST_SCALE for fast in (fastest, fastest * unit)):
+    # Divide spins and forces by units, powers of two, so that nothing is rounded; each sample has its own for forces.
+    if not all(LEAST_SPEED < fast < MOST_SCALE for fast in (fastest, fastest * length)):
         return None
     if not ((largest == 0) | ((largest > LEAST_SCALE) & (largest < MOST_SCALE))).all():
         return None
-    speed, force = power_of_two(fastest), np.array([power_of_two(of) for of in largest.tolist()])
+    spin_unit, force_unit = power_of_two(fastest), np.array([power_of_two(of) for of in largest.tolist()])
     acts = ((limit > 0) | (damping > 0)) & contacts.has_free_end
     with np.errstate(over="ignore"):
-        spin, rounding, friction = spin / speed, rounding / speed, friction / force[:, None, None]
+        spin, rounding, friction = spin / spin_unit, rounding / spin_unit, friction / force_unit[:, None, None]
     scaled = (spin, rounding, spin * radius[:, None], rounding * radius[:, None], friction)
     if not all((np.abs(values) < MOST_SCALE).all() for values in scaled):
         return None
@@ -104,21 +104,20 @@ def _in_lists(packing: Bearing, spin: np.ndarray, rounding: np.ndarray, friction
     free_of_all, radius = np.tile(free, count), np.tile(radius, count)
     speeds = [Enclosure.exact(*(of[..., k].ravel() for of in (spin, rounding))) for k in range(spin.shape[2])]
     speeds = speeds if (radius == 1).all() else [_surface_speed(part, radius, ~free_of_all) for part in speeds]
-    faint_sign = np.tile(
-        np.where((imposed != 0) & (np.abs(imposed) < LOSING_DIGITS * speed), np.sign(imposed), 0.0).T, count
-    )
-    for part, sign in zip(speeds, faint_sign, strict=True):
+    # Imposed spins that lose digits when they are divided: only their sign is kept, and a bound on their size.
+    loses_digits = (imposed != 0) & (np.abs(imposed) < LOSING_DIGITS * spin_unit)
+    for part, sign in zip(speeds, np.tile(np.where(loses_digits, np.sign(imposed), 0.0).T, count), strict=True):
         _equalise_imposed_speeds(part, np.flatnonzero(~free_of_all))
-        faint = np.flatnonzero((sign != 0) & ~free_of_all)  # imposed spins of which only the sign is kept
+        faint = np.flatnonzero((sign != 0) & ~free_of_all)
         size = LOSING_DIGITS * radius[faint]
         part.put(faint, Enclosure(sign[faint] * size, np.zeros(len(faint)), 2 * size))
     zero, normal_force = Enclosure.exact(np.zeros(acts.size)), normal_force.ravel()
     moment = moments([Enclosure.exact(np.where(acts.ravel(), part, 0.0)) for part in graph.friction.T], graph.normal)
     return JudgedNetwork(
-        law, count, free_of_all, speed * unit, force, speeds, moment,
-        Enclosure.exact((coefficient / force[:, None]).ravel()).times(normal_force) if law.has_friction else zero,
+        law, count, free_of_all, spin_unit * length, force_unit, speeds, moment,
+        Enclosure.exact((coefficient / force_unit[:, None]).ravel()).times(normal_force) if law.has_friction else zero,
         zero if not law.has_viscosity else
-        Enclosure.exact((damping * (speed / force)[:, None]).ravel()).times(np.array([unit])),
+        Enclosure.exact((damping * (spin_unit / force_unit)[:, None]).ravel()).times(np.array([length])),
         [part.where(~free_of_all) for part in speeds],
         graph, factors=(coefficient.ravel(), np.broadcast_to(packing.normal_force, coefficient.shape).ravel()),
     )  # fmt: skip

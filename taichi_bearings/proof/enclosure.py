@@ -265,10 +265,7 @@ class Enclosure:
 
 
 def joined(members: list[Enclosure]) -> Enclosure:
-    """Return the concatenation of enclosures (n_1,), (n_2,), ... as one enclosure.
-
-    members : the enclosures.
-    """
+    """Return the concatenation of the enclosures `members`, (n_1,), (n_2,), ..., as one enclosure."""
     return Enclosure(*(np.concatenate(parts) for parts in zip(*(m.parts for m in members), strict=True)))
 
 
@@ -313,8 +310,7 @@ def grouped_sum(values: Enclosure, owner: np.ndarray, count: int) -> Enclosure:
 
 
 def length(parts: list[Enclosure]) -> Enclosure:
-    """Return the lengths (n,) of n vectors. If only one component of a vector is not 0, its length is exactly the size
-    of that.
+    """Return the lengths (n,) of n vectors: exactly the size of a component if it is the only one that is not 0.
 
     parts : the components of all vectors, one enclosure (n,) each."""
     parts = [part for part in parts if part.high.any() or part.error.any()] or parts[:1]  # leave out exact zeros
@@ -322,10 +318,12 @@ def length(parts: list[Enclosure]) -> Enclosure:
     several = np.flatnonzero(there.sum(axis=0, dtype=np.int8) > 1)
     if len(several) == there.shape[1]:
         return _length_of_several(parts)
-    root = abs(Enclosure(*(sum(of[1:], of[0]) for of in zip(*(part.parts for part in parts), strict=True))))
+    # A sum over components is exactly the only one that is not 0; other lengths are overwritten.
+    sums = (sum(of[1:], of[0]) for of in zip(*(part.parts for part in parts), strict=True))
+    found = abs(Enclosure(*sums))
     if len(several):
-        root.put(several, _length_of_several([part.at(several) for part in parts]))
-    return root
+        found.put(several, _length_of_several([part.at(several) for part in parts]))
+    return found
 
 
 def _length_of_several(parts: list[Enclosure]) -> Enclosure:

@@ -70,8 +70,9 @@ class ExactMotions:
     spheres : (N,) mask of the free spheres that these contacts join.
     contacts : (E,) mask of these contacts: among these spheres, and with driven ones.
     floor, unit : (R,) and (N, 3), for a bound on friction: if friction on these contacts can exert given torques at
-        all, some of a size of at most |unit * torque| / floor does (step 4). The floor is infinite for samples without
-        any such sphere. Units are 0 for spin components that are no unknown or are in J.
+        all, some of a size of at most |unit * torque| / floor does (step 4 at the head of this file). The floor is
+        infinite for samples without any such sphere. Units are 0 for spin components that are no unknowns, or from
+        which the others follow (J).
     motions : how the spins of these spheres follow from a few of them and from imposed spins, such that no contact
         slips; None if there is no such contact.
     """
@@ -202,9 +203,9 @@ class _Parts:
         return ~Elimination.of(matrix, place, parts, samples).dependent(NULL_PIVOT)
 
     def with_nothing_to_prove(self, follows: np.ndarray) -> np.ndarray:
-        """Return the mask (N,) of the spheres that need no proof in exact arithmetic. A slip has two components. A part
-        (free spheres that contacts connect) needs no proof if its contacts have no more of these than it has unknowns
-        that follow from others. A sample needs none if no unknown in it follows.
+        """Return the mask (N,) of the spheres that need no proof in exact arithmetic: those of parts (free spheres that
+        contacts connect) with at most as many conditions, two for each contact, as unknowns that follow from others,
+        and of samples in which no unknown follows.
 
         follows : (n,) mask of the unknowns that follow from others.
         """
@@ -217,8 +218,8 @@ class _Parts:
     def floor_and_motions(self, follows: np.ndarray) -> tuple[np.ndarray, np.ndarray, _Motions] | np.ndarray:
         """Try to prove that all A contacts can roll exactly at once.
 
-        Returns, if that is proven, three things: `floor` and `unit` as in :class:`ExactMotions`, and the motions. Else
-        a mask (N,) of at least one sphere that is to be left out before the next try.
+        Returns, if that is proven, a tuple with the fields `floor` (R,), `unit` (N, 3) and `motions` of
+        :class:`ExactMotions`. Else a mask (N,) of the spheres, at least one, to leave out of the next try.
 
         follows : (n,) mask of the unknowns that follow from others, as a guess."""
         all_spheres, sphere = np.asarray(self.free.any(axis=1)), np.nonzero(self.free)[0]
@@ -226,7 +227,7 @@ class _Parts:
         samples = network.samples_of(sphere)
         place_in_order = np.empty(len(follows), dtype=np.intp)
         place_in_order[np.concatenate([part.nodes for part in network.parts_of(sphere)])] = np.arange(len(follows))
-        # The columns of K for the unknowns that follow, factorised.
+        # The matrix of the slips from the unknowns that follow, and its factor.
         rows, choices = sparse.csr_array(self.rows[:, follows]), _Choices.of(self, np.flatnonzero(~follows))
         parts, followers = network.parts_of(sphere[follows]), network.samples_of(sphere[follows])
         elimination = Elimination.of((rows.T @ rows).tocsc(), place[:, follows], parts, followers)
@@ -317,8 +318,8 @@ class _Choices:
 @dataclass
 class _Solved:
     """Solver for motions without slip, in doubles by least squares. All spins follow from q numbers, the *choices*. The
-    motion of a choice are the values of the other unknowns if this number is 1 and all other choices are 0. Motions are
-    the columns of a matrix, one column for one choice or for the sum of several.
+    motion of a choice is what the other unknowns are if this number is 1 and all other choices are 0. Motions are the
+    columns of a matrix, one column for one choice or for the sum of several.
 
     parts : A contacts, their n unknowns, and the parts: groups of free spheres that the contacts connect.
     choices : the q numbers.
@@ -336,11 +337,10 @@ class _Solved:
 
     def columns(self, chosen: np.ndarray) -> tuple[np.ndarray, bool]:
         """Return for each of k choices (numbers from which all spins follow) the column (k,) in which its motion is to
-        be computed; and True if a column may hold several choices of one part.
+        be computed; and True if a column may hold several choices of one part (spheres that contacts connect).
 
-        Choices of different parts share columns, since their motions do not overlap (a part is a group of spheres that
-        contacts connect). Choices of one part share columns, too, unless they are imposed spins, which move many
-        spheres, or few, or `fewer` is set.
+        Choices of different parts share columns, since their motions do not overlap. Choices of one part do so, too,
+        unless they are imposed spins, which move many spheres; or there are columns enough; or `fewer` is set.
 
         chosen : (k,), indices of the choices; either all are imposed spins, or none."""
         owner = self.choices.owner[chosen]
@@ -452,9 +452,9 @@ class _Motions:
         0, as fractions; and a mask (n,) of the unknowns at which some motion is no fraction. Whether contacts really do
         not slip is checked by `slipping_contacts`.
 
-        Motions mostly move a few spheres, so those of choices far apart are found together, as one sum. Moving spheres
-        that contacts connect, with one choice among them, move by the motion of this choice. If there are several
-        choices among them, these are tried again with fewer others.
+        Motions mostly move a few spheres, so those of several choices are found together, as one sum. It divides into
+        sets of moving spheres that contacts connect. A set with one choice is the motion of this choice; where a set
+        has several choices, these are tried again in sums of fewer.
 
         parts : A contacts and their n unknowns.
         choices : the q numbers.

@@ -206,19 +206,11 @@ class JudgedNetwork:
             return self
 
         def of(values: np.ndarray) -> np.ndarray:
-            """Return the entries of an array (n,) or (m,), over all spheres or all contacts, that belong to the samples
-            in `pick`.
-
-            values : the array.
-            """
+            """Return the entries of `values` (n,) or (m,), over all spheres or contacts, of the samples in `pick`."""
             return values.reshape(self.count, -1)[pick].reshape(-1)
 
         def part(values: Enclosure) -> Enclosure:
-            """Return the entries of an enclosure (n,) or (m,), over all spheres or all contacts, that belong to the
-            samples in `pick`.
-
-            values : the enclosure.
-            """
+            """Return the entries of the enclosure `values`, (n,) or (m,), that belong to the samples in `pick`."""
             return Enclosure(*map(of, values.parts))
 
         return replace(

@@ -92,10 +92,7 @@ class Judgement:
         return Bounds.of(self.network)
 
     def _by_sample(self, of_contacts: np.ndarray) -> np.ndarray:
-        """Return values (R * E,), one for each contact of R samples, as an array (R, E).
-
-        of_contacts : the values.
-        """
+        """Return the values `of_contacts` (R * E,), one for each contact of R samples, as an array (R, E)."""
         return of_contacts.reshape(self.network.count, -1)
 
     @property
