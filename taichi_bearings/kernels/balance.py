@@ -222,27 +222,27 @@ class BalanceKernels:
         self, modes: ti.template(), blocks: ti.template(), chains: ti.template(), slot: ti.template(), half, group,
         count, stride, side, height, longest, weight,
     ):  # fmt: skip
-        """Solve a block of neighbouring chains in place: as many as a block has sites. A chain has the spheres along
-        one side of the lattice, for one sine along the height.
+        """Solve a group of neighbouring chains in place, as many as a block has numbers. A chain is a row of spheres
+        along one side of the lattice, with the pulls (then the solutions) of one sine along the height.
 
-        A chain is solved by Gaussian elimination from its first sphere to its last, and by substitution back. The
-        factors are those of :func:`taichi_bearings.lattice.laplacian.chain_factors`. A ring is a chain with one more
-        spring between its ends: the scalar product of the pulls with a vector z (`ring_closures` there) is summed up on
-        the way, and z times this sum is subtracted on the way back.
+        The way forth is Gaussian elimination from the first sphere to the last; the way back is substitution. A ring is
+        a chain with one more spring, between its ends: on the way forth the scalar product of the pulls with a vector z
+        is summed up, and on the way back z times this sum is subtracted. :mod:`taichi_bearings.lattice.laplacian` makes
+        the factors (`chain_factors`) and z (`ring_closures`).
 
-        modes : (C components, R samples, *N spheres) pulls, flat, replaced by the solutions; columns fill whole blocks.
+        modes : pulls, flat, replaced by the solutions: (C components, R samples, *N), or folded (see the class).
         blocks : the same memory as vectors, one for each block.
-        chains : (C, longest, height), flat: factors by which the elimination of the chains multiplies; with periodic
-            axes followed by as many numbers, the vectors z.
-        slot, half : number of the spin component; and 1 for half columns of odd sines, else 0.
-        group : number of the block of chains, among those of this component (and half) in all samples.
+        chains : factors by which the elimination multiplies, flat, (C, longest, height), with folded columns (C, 2,
+            longest, height); with periodic axes as many numbers follow, the vectors z.
+        slot : number of the spin component.
+        half : 1 for half columns of odd sines, else 0.
+        group : number of the group of chains, among those of this component (and half) in all samples.
         count : numbers of a component (and half) in `modes`.
         stride : distance in memory from one sphere of a chain to the next.
         side : number of spheres of a chain.
         height : numbers of a column, or half column, in `modes`.
         longest : spheres of the longest chain.
-        weight : relative stiffness of the springs along the chains.
-        """
+        weight : relative stiffness of the springs along the chains."""
         # where the block begins among the modes and in the tables of factors
         across, halves = stride // self.block, ti.static(2 if self.folds else 1)
         along, number = group % across * self.block, halves * slot + half
@@ -300,9 +300,9 @@ class BalanceKernels:
         self, workers: int, values: VALUES, folded: VALUES, blocks: BLOCKS, row: int, margin: int, count: int,
         stride_x: int, stride_y: int, sites: int, half: int,
     ):  # fmt: skip
-        """Write the pulls on all spheres into `folded`, column by column: into one half column the sums for two spheres
-        at equal distance from bottom and top, from the ends of the column to its middle, into the other the
-        differences. A sphere in the middle is added to itself. Blocks are filled up with further sums and differences.
+        """Write the pulls p_0 ... p_n of each column of spheres into `folded` as two half columns: the sums p_k +
+        p_(n-k) of mirror images, from the ends of the column, k = 0, to its middle; and the differences p_k - p_(n-k).
+        A sphere in the middle is its own mirror image. Blocks are filled up with further sums and differences.
 
         workers : number of threads; each takes an equal share of the columns.
         values : all fields, flat; `pull` is read.
@@ -469,22 +469,21 @@ class BalanceKernels:
         longest: int,
         weight: float,
     ):
-        """Solve all chains on a CPU, in place; each worker takes an equal share of the blocks of chains. A chain has
-        the spheres in a row along one side of the lattice, for one sine along the height. Where columns are folded,
-        those of a chain stand one after the other, so that all chains of a plane fit a processor's second-level cache.
+        """Solve all chains on a CPU, in place. A chain is a row of spheres along one side of the lattice, with the
+        pulls (then the solutions) of one sine along the height.
 
-        workers : number of threads.
-        modes : (C components, R samples, columns, numbers of a column) pulls in each mode, flat, replaced by the
-            solutions; a column is filled up to whole blocks. Where columns are folded, an axis of 2 follows C.
+        workers : number of threads; each takes an equal share of the groups of chains (:meth:`chains_of_group`).
+        modes : pulls, flat, replaced by the solutions: (C components, R samples, columns, numbers of a column), with an
+            axis of 2 after C if columns are folded. A column is filled up to whole blocks. Folded columns of a chain
+            stand one after the other: so all chains of a plane fit a processor's second-level cache.
         blocks : the same memory as vectors, one for each block.
         chains : factors by which the elimination of the chains multiplies, flat.
         count : numbers of a component (and half) in `modes`.
-        stride_x, stride_y : distance in `modes` from a sphere to its neighbour along x and along y, if columns are not
-            folded; the second, in 2D the first, is the length of a column or half column.
-        sites : numbers of a component (and half) of one replica (one of the samples that are solved together).
+        stride_x, stride_y : distance in `modes` from a column to the next along x and along y if none is folded. The
+            second, in 2D the first, always is the length of a column or half column.
+        sites : numbers of a component (and half) in `modes` that belong to one sample.
         longest : spheres of the longest chain.
-        weight : stiffness of the springs along the chains.
-        """
+        weight : relative stiffness of the springs along the chains."""
         for item in range(workers * LEAST_CHUNK):
             if item % LEAST_CHUNK == 0:
                 worker, height = item // LEAST_CHUNK, self.height(stride_x, stride_y)

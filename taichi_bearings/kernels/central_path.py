@@ -54,13 +54,12 @@ GO_ON, AS_READ, AS_WRITTEN = 0.0, 1.0, 2.0  # recentring does its work, or keeps
 
 @ti.func
 def vector(values: ti.template(), at: ti.template(), row: ti.template(), like: ti.template(), m):
-    """Return the 1 or 2 numbers of a vector of one contact, one from each of as many rows that follow each other, as a
-    list.
+    """Return a vector of one contact as a list. It has 1 or 2 components, each in a row of its own.
 
     values : all numbers, flat, row by row; a row has one number of each contact.
     at : for each row the index in `values` of the number that the first contact of a block has there.
-    row : number of the first of the rows that are read.
-    like : any list as long as the vector, 1 or 2; its entries do not matter.
+    row : number of the row with the first component; the second component is in the next row.
+    like : any list as long as the vector; its entries do not matter.
     m : number of the contact within its block, 0 to BLOCK - 1."""
     return [values[at[row + k] + m] for k in ti.static(range(len(like)))]
 
@@ -164,12 +163,12 @@ def divided(values: ti.template(), at: ti.template(), head, tail: ti.template(),
 
 @ti.func
 def right_side_and_pull(values: ti.template(), at: ti.template(), head, tail: ti.template(), m):
-    """Return the list [head, *tail, *pull] of one contact: the right-hand side (head, tail) of a Newton step, as it is
-    given, and the pull that follows from it, one number for each slipping component.
+    """Return the list [head, *tail, *pull] of one contact: the given right-hand side (head, tail) of a Newton step, and
+    the pull on its two spheres that follows, the force by which the contact enters their torque balance.
 
-    The pull is the force by which the contact enters the torque balance of its two spheres. A contact has a further
-    unknown, the change of its bound of the slip; the pull is what its elimination leaves of the right-hand side. A
-    contact in no cone (its number in row INVERSE is 0) has no such unknown; its pull is minus the friction force.
+    Beside its slip a contact has the bound of the slip as an unknown. Once its change is eliminated, the pull is dual +
+    tail - off * inverse * head, where the dual is minus the friction force, and `inverse` and `off` are the numbers in
+    rows INVERSE and OFF. A contact in no cone (`inverse` is 0) has no such unknown; its pull is the dual.
 
     values : numbers of all contacts, flat, row by row; a row has one number of each contact.
     at : for each row of the iterate the index in `values` of the number that the block's first contact has there.
@@ -228,16 +227,19 @@ def reaches(values: ti.template(), at: ti.template(), bound_step, change: ti.tem
 
 @ti.func
 def prepared(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-    """Return for one contact a list of what all Newton steps from an iterate share, and of the aim of the first step.
+    """Return for one contact, in one list, the numbers that all Newton steps from an iterate share and the aim of the
+    first of these steps.
 
-    A contact has two points: the primal one is (bound of the slip, slip), the dual one (friction limit, minus force).
-    Each has a head, one number, and a tail of one number for each slipping component (1 or 2). A symmetric matrix W
-    scales both to one point p = W^-1 primal = W dual. The list has, in this order:
+    A contact has two points: primal (bound of the slip, slip) and dual (friction limit, minus force). Each has a head,
+    one number, and a tail, one number for each slipping component (1 or 2). A symmetric matrix W scales both to one
+    point p = W^-1 primal = W dual. The list has, in this order:
 
-    * W as a weight and a rotation (head, tail); p (head, tail);
-    * of W^-2 the inverse of the entry head-head (0 for a contact in no cone: row SMOOTH above 0), and those head-tail;
-    * the stiffness of the contact (in no cone that of the friction law): 1 number, or xx, xy, yy of a symmetric matrix;
-    * right-hand side (head, tail) for a product 0 of both points, as at the minimum; and its pull on the spheres.
+    * W: its weight, then its rotation (head, tail);
+    * p (head, tail);
+    * of the matrix W^-2: 1 over its entry head-head (0 for a contact in no cone: row SMOOTH above 0), then its entries
+      head-tail, then the stiffness, which is its part tail-tail once the head is eliminated (in no cone the stiffness
+      of the friction law): 1 number, or xx, xy, yy of a symmetric matrix;
+    * the aim, a product 0 of both points as at the minimum: right-hand side (head, tail) and pull on the spheres.
 
     values : numbers of all contacts, flat, row by row (a row has one number of each): the iterate and two steps.
     at : lists. at[0] has for each row of the iterate the index in `values` of the number of the block's first contact;
@@ -290,16 +292,15 @@ def prepared(values: ti.template(), at: ti.template(), numbers: ti.template(), m
 
 @ti.func
 def expanded(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-    """Return for one contact the steps of its other numbers that follow from the change of its slip, and how far these
-    steps may go.
+    """Return for one contact, in one list, the steps of its bound and its dual that follow from the change of its slip,
+    how far the Newton step may go, and how the product of its two points then changes.
 
-    A contact has a primal point (bound of the slip, slip) and a dual point (friction limit, dual), where the dual is
-    minus the force; both must stay in the cone, where the first number is at least the length of the rest. The list has
+    The points are primal (bound of the slip, slip) and dual (friction limit, dual), where the dual is minus the force.
+    Both must stay in the cone: the first number is at least the length of the rest. The list has, in this order:
 
     * the step of the bound, one number, and the step of the dual, 1 or 2 numbers;
-    * the largest factors of the primal step (of bound and slip) and of the dual step that keep each point in its cone;
-    * friction limit * bound + slip . dual; its derivatives by the factor of the primal and of the dual step; and the
-      mixed derivative.
+    * the largest factors of the primal step (of bound and slip) and of the dual step that keep the points in the cone;
+    * the product friction limit * bound + slip . dual, its derivatives by the two factors, and the mixed derivative.
 
     For a contact in no cone (INVERSE is 0) the step of the bound and the last four numbers are 0, its slip may change
     by half, and its dual step has no end (ENDLESS_STEP).
@@ -347,14 +348,13 @@ def expanded(values: ti.template(), at: ti.template(), numbers: ti.template(), m
 
 @ti.func
 def between(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-    """Return for one contact, as a list of two numbers, how far a step between two steps may go: the largest factors of
-    it that keep the contact's primal and dual points in their cones (see `reaches`). The step is read + share *
-    (written - read).
+    """Return for one contact two numbers: the largest factors of a mixed step that keep its primal and its dual point
+    in their cones (see `reaches`). The mixed step is first + share * (second - first), of two steps in memory.
 
     values : numbers of all contacts, flat, row by row (a row has one number of each): the iterate and two steps.
     at : four lists. at[0] has, for each row of the iterate, the index in `values` of the number of the block's first
-        contact; so have at[1] for the rows of the step that is read, and at[3] for those of the step that is written,
-        which is only read here. at[2] has one entry for each slipping component, 1 or 2.
+        contact; so have at[1] for the rows of the first step, and at[3] for those of the second step. at[2] has one
+        entry for each slipping component, 1 or 2: only its length matters, as the length of vectors.
     numbers : numbers[m] is the share.
     m : number of the contact within its block, 0 to BLOCK - 1."""
     state, step, like, other = at[0], at[1], at[2], at[3]
@@ -406,9 +406,10 @@ def recentred(values: ti.template(), at: ti.template(), numbers: ti.template(), 
     right-hand side, a number and a vector, and the pull on the contact's spheres that follows from it, a vector.
     Vectors have one number for each slipping component, 1 or 2.
 
-    A contact has a primal point (bound of the slip, slip) and a dual point (friction limit, minus force). The Jordan
-    product of both, scaled, after steps of given lengths has two eigenvalues, head - |tail| and head + |tail|. The
-    corrector brings those outside given limits to the nearer limit, but lowers none by more than the upper limit.
+    A contact has a primal point (bound of the slip, slip) and a dual point (friction limit, minus force). After steps
+    of given lengths the Jordan product of both, scaled, is a point (head, tail) with the eigenvalues head - |tail| and
+    head + |tail|. The corrector moves each eigenvalue below the lower limit up to it, and each above the upper limit
+    down to it, but by no more than the upper limit.
 
     values : numbers of all contacts, flat, row by row (a row has one number of each): the iterate and two steps.
     at : four lists. at[0] has, for each row of the iterate, the index in `values` of the number of the block's first
@@ -417,8 +418,7 @@ def recentred(values: ti.template(), at: ti.template(), numbers: ti.template(), 
     numbers : (5 * BLOCK,), of which this contact has those at m, m + BLOCK, ...: length of the primal step, length of
         the dual step, lower limit, upper limit, and a choice: GO_ON to compute the aim; AS_READ or AS_WRITTEN, in a
         sample that needs no further corrector, to take the right-hand side of the step that is read or written.
-    m : number of the contact within its block, 0 to BLOCK - 1.
-    """
+    m : number of the contact within its block, 0 to BLOCK - 1."""
     state, step, like = at[0], at[1], at[2]
     axes = ti.static(range(len(like)))
     along, dual_along, low, high = numbers[m], numbers[BLOCK + m], numbers[2 * BLOCK + m], numbers[3 * BLOCK + m]
@@ -671,13 +671,11 @@ def _shared_kernel_over_contacts(law: Callable, of_one: tuple, of_two: tuple, fi
         span: int, read_slot: int, write_slot: int,
     ):  # fmt: skip
         """Call `law`, the function of one contact for which this kernel is made, for all contacts of a sample. The
-        contacts are divided into as many parts as `found` has sums of one kind, and a thread takes one part after the
-        other.
+        contacts are divided into n parts, each with sums of its own; several threads take one part after the other.
 
         values, blocks, numbers, length, first_two, end, read_slot, write_slot : as in the kernel for one thread.
-        found : flat array of FOUND * n vectors of BLOCK numbers: the sums and least numbers of n parts.
-        span : number of blocks of each part; the last parts may have fewer, or none.
-        """
+        found : flat array of FOUND * n vectors of BLOCK numbers; vector k * n + j has result k (see FOUND) of part j.
+        span : number of blocks of each part; the last parts may have fewer, or none."""
         for item in range(found.shape[0] // FOUND * LEAST_CHUNK):
             if item % LEAST_CHUNK == 0:
                 begin = item // LEAST_CHUNK * span

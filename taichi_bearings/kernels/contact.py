@@ -77,7 +77,7 @@ def viscous_force(spin_difference: ti.template(), coefficients: ti.template(), s
     component of D, the difference of the spins of both spheres without its component along the contact.
 
     spin_difference : D, a list of one or two components, 1/time: numbers, or vectors for a block of contacts.
-    coefficients : a list that ends with the viscosity.
+    coefficients : a list that ends with the viscosity; beside friction, with the viscosity times the radius.
     sharpness : not used; all force laws take the same arguments."""
     return [d * coefficients[ti.static(len(coefficients) - 1)] for d in ti.static(spin_difference)]
 
@@ -88,7 +88,7 @@ def coulomb_viscous_force(spin_difference: ti.template(), coefficients: ti.templ
     component along the contact: a list with an entry for each component.
 
     spin_difference : D, a list of one or two components, 1/time: numbers, or vectors for a block of contacts.
-    coefficients : a list: friction limit, force, and viscosity.
+    coefficients : a list: the friction limit, force, and the viscosity times the radius.
     sharpness : 1 over the largest |D| that counts as no slip, time."""
     held = coulomb_force(spin_difference, coefficients, sharpness)
     flowing = viscous_force(spin_difference, coefficients, sharpness)
@@ -166,14 +166,13 @@ class ForceTrial:
 
     @ti.kernel
     def write(self, differences: VALUES, coefficients: VALUES, radii: VALUES, forces: VALUES, count: int):
-        """Write the forces of contacts, three numbers each: that along a spin difference of one component, and both
-        components of that along a difference of the same length which is divided as 0.6 and 0.8.
+        """Write three numbers for each contact: its force at the spin difference d, a single component; then both
+        components of its force at the spin difference (0.6 d, 0.8 d), which has the same length.
 
-        differences : (count,), lengths of the spin differences, 1/time.
-        coefficients : (count,), the coefficient of the law.
-        radii : (count,), radius of the spheres.
-        forces : (3 count,), output.
-        """
+        differences : (count,), d of each contact, 1/time.
+        coefficients : (count,), the coefficient of the law at each contact.
+        radii : (count,), radius of the spheres at each contact.
+        forces : (3 count,), the numbers that are written, contact by contact."""
         for k in range(count):
             d = differences[k]
             one = self.force_law([d], [coefficients[k]], radii[k])
