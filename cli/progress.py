@@ -24,8 +24,8 @@ Display = partial(progress.Display, STARTED)  # its times begin with the process
 
 
 def in_lines(text: str, err: bool = False) -> str:
-    """Return a report for printing: for a terminal long lines are broken between words, with the next lines below the
-    last column or indented; else it is unchanged.
+    """Return a report for printing: as it is, or for a terminal with long lines broken between words. The rest of a
+    line then begins below its last column, or is indented where it has no columns.
 
     text : the report.
     err : True if it is printed on stderr.

@@ -54,7 +54,7 @@ def columns_of(rows: Iterable[Quantity], report: Json) -> list[str]:
 
 
 def _unit(row: Quantity) -> str:
-    """Return the unit of a quantity in brackets, after a space; an empty text for a pure number.
+    """Return the unit of a quantity in brackets, after a space; an empty text for pure numbers and numbers of contacts.
 
     row : the quantity.
     """

@@ -69,13 +69,13 @@ def seal(group: h5py.Group) -> None:
 
 
 def changed_in(path: Path, group: h5py.Group) -> Iterator[str]:
-    """Yield the names of what was changed since it was written, in an open file or a group of it.
+    """Yield the names of the data sets and attributes, in an open file or a group of it, that have another checksum
+    than when they were written. Those that are missing, or have no stored checksum, are not named.
 
     path : path of the file, for the error.
     group : the file, or a group of it.
 
-    Raises FileError where the table of checksums is unreadable. What is missing altogether is noticed by whoever reads
-    it.
+    Raises FileError where the table of checksums is unreadable.
     """
     digests = parse_json(str(group.attrs.get(ATTRIBUTE, "{}")))
     if not isinstance(digests, dict):

@@ -163,9 +163,9 @@ def __getattr__(attribute: str) -> Any:
     """
     if attribute != "ti":
         raise AttributeError(f"module {__name__!r} has no attribute {attribute!r}")
-    with environment(), warnings.catch_warnings(), _lines_found_quickly():  # it adds filters of its own
-        warnings.simplefilter("ignore")  # what it uses of Python is not ours to mend, even where warnings are errors
-        with standing_in("dill"):  # which Taichi needs only for kernels that were typed into an interactive Python
+    with environment(), warnings.catch_warnings(), _lines_found_quickly():  # Taichi adds filters
+        warnings.simplefilter("ignore")  # Taichi uses deprecated parts of Python, even where warnings are errors
+        with standing_in("dill"):  # Taichi needs dill only for kernels that were typed into an interactive Python
             globals()["ti"] = importlib.import_module(name())
         with contextlib.suppress(ImportError):
             walker: Any = importlib.import_module(f"{name()}.lang.ast.ast_transformer_utils")

@@ -21,11 +21,11 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, maxi
 
 @dataclass(frozen=True)
 class Part:
-    """One part of a divided graph: nodes that separate the parts below it, or what is left of a region that is not
-    divided.
+    """One part of a divided graph: a separator, the nodes that separate the halves of a region; or all nodes of a
+    region that is not divided. Below a separator are the parts of the two halves.
 
     nodes : numbers of its own nodes. Their neighbours are in the part itself, in parts above it, or in parts below it.
-    children : numbers of the parts that it separates, all smaller than its own number.
+    children : numbers of the parts next below it, all smaller than its own number.
     """
 
     nodes: np.ndarray
@@ -39,7 +39,7 @@ _keeping = Lock()
 
 
 def dissected(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, leaf: int, whole: int = 0) -> list[Part]:
-    """Return the parts of a graph, children before parents: what is left of regions, and the nodes that separate them.
+    """Return the parts of a graph, children before parents: separators, and regions that are not divided further.
 
     graph : (nodes, nodes), symmetric; an entry joins two nodes. One triangle of it is enough if its entries are stored
         with the larger node of each pair in `indices`.
@@ -67,15 +67,14 @@ def dissected(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, le
 
 
 def restricted(parts: list[Part], node: np.ndarray, leaf: int) -> list[Part]:
-    """Return a division of a new graph that follows from that of another graph: a list of parts, children before
-    parents. A part is a set of nodes that separates the parts below it, or what is left of a region. No separator is
-    looked for, so this takes far less time than a new division.
+    """Return the parts of a new graph, children before parents, made from the parts of a graph that was divided before.
+    No separator is looked for, so this takes far less time than a new division.
 
-    parts : the parts of the other, divided graph.
+    parts : the parts of the divided graph.
     node : (nodes,), the node of the divided graph to which each node of the new graph belongs. Nodes of the new graph
         may be joined only if they belong to one node of the divided graph, or to two that are joined.
-    leaf : a part that with all parts below it has no more nodes becomes one part with them. Parts without any node are
-        left out.
+    leaf : a part and all parts below it become one part if together they have at most so many nodes. Parts without
+        nodes are left out.
     """
     size = sum(len(part.nodes) for part in parts)
     owner, parent = np.empty(size, dtype=np.intp), np.full(len(parts), -1)
@@ -87,8 +86,8 @@ def restricted(parts: list[Part], node: np.ndarray, leaf: int) -> list[Part]:
     for number, above in enumerate(parent.tolist()):
         if above >= 0:
             below[above] += below[number]
-    # the part that takes its nodes: the highest one above it that has few nodes with all parts below it, else itself;
-    # and the nearest part above that has new nodes
+    # for each part: the part into which its nodes go, itself or the highest one above it that becomes one with all
+    # parts below it; and the nearest part above it that has new nodes
     becomes, higher = np.arange(len(parts)), np.full(len(parts), -1)
     for number, above in reversed(list(enumerate(parent.tolist()))):
         if above < 0:
@@ -108,8 +107,7 @@ def restricted(parts: list[Part], node: np.ndarray, leaf: int) -> list[Part]:
 
 
 def _divided(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, leaf: int, whole: int = 0) -> list[Part]:
-    """Return the parts of a graph, children before parents: what is left of regions, and the nodes that separate them.
-    Unlike `dissected` it keeps no result for the next call.
+    """Return the parts of a graph, children before parents, as `dissected` does, but without keeping them in memory.
 
     graph : (nodes, nodes), symmetric; an entry joins two nodes.
     place : (coordinates, nodes), where the nodes lie.
@@ -201,8 +199,8 @@ def _least_cover(low: np.ndarray, high: np.ndarray, count: int) -> np.ndarray:
     count : number of all nodes.
 
     The set is found as a minimum cut of a network in which a flow of 1 can pass through each node, from a source to the
-    lower nodes, along the edges, and from the upper nodes to a sink. It is the same for all largest flows. SciPy's own
-    matchings can take minutes.
+    lower nodes, along the edges, and from the upper nodes to a sink. Of all minimum cuts the one nearest to the source
+    is taken, whichever largest flow was found. SciPy's own matchings can take minutes.
     """
     (lower, begin), (upper, end) = (_numbered(side, count) for side in (low, high))
     below, above = len(lower), len(upper)

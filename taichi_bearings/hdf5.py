@@ -58,10 +58,8 @@ def open_hdf5(path: Path, kind: str = "an HDF5 file") -> Iterator[h5py.File]:
 
 
 def _has_whole_heaps(path: Path) -> bool:
-    """Return False for an HDF5 file in which free space in a heap of texts has no length, or an object reaches beyond
-    its heap: the library HDF5 2.0 may then read on for ever.
-
-    path : the file.
+    """Return True unless a heap of the HDF5 file `path` (a block in which texts lie one after another) is damaged, by a
+    piece that reaches beyond its end or by free space of length 0. There the library HDF5 2.0 may read on for ever.
     """
     with (
         opened(path) as file,
@@ -107,7 +105,8 @@ def reason_against(file: h5py.File, size: int) -> str:
 
 
 def _reason_in_content(file: h5py.File, size: int) -> str:
-    """Return in words what in an open file leads out of it, is of an unknown kind or claims too much; "" for nothing.
+    """Return in words why an open file must not be read, "" if it can be: it has a link or data in another file, an
+    item of an unknown kind, or a data set that claims more bytes than such a file can hold.
 
     size : size of the file in bytes.
     """

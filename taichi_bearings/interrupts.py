@@ -62,7 +62,7 @@ class Keeper:
     """Notes signals for a command that has reached a result and has to report it.
 
     reached : True once there is a result.
-    heard : True once a signal has come that ended nothing by itself.
+    heard : True once a signal has come that was noted and raised nothing.
     """
 
     def __init__(self) -> None:
@@ -82,10 +82,10 @@ _keeper: Keeper | None = None  # that of the command under way
 
 @contextmanager
 def keeping() -> Iterator[None]:
-    """Context in which, from the first call of `keep` on, the process is not ended and signals are only noted. Yet a
-    signal that comes more than IMPATIENCE after the first one raises KeyboardInterrupt.
+    """Context of a command that reaches a result and reports it. Once `keep` is called in it, signals are only noted
+    and do not end the process. Only one more than IMPATIENCE seconds after the first raises KeyboardInterrupt.
 
-    Other errors after that call are no consequence of a signal, and are shown as always.
+    Errors after the call of `keep` are shown as always, since no signal has caused them.
     """
     global _keeper
     before, _keeper = _keeper, Keeper()
@@ -168,8 +168,8 @@ def is_loading(frame: FrameType | None) -> bool:
 
 
 def again_soon(is_wanted: Callable[[], bool] = lambda: True) -> None:
-    """Send Ctrl-C to this process once more after a moment, because the KeyboardInterrupt that the handler raises would
-    be swallowed now, or was.
+    """Send Ctrl-C to this process once more after a moment. This is called where a KeyboardInterrupt was swallowed, or
+    would be swallowed if the handler raised it now.
 
     is_wanted : function that is called at that moment; if it returns False, nothing is sent.
     """
@@ -260,8 +260,8 @@ def end_at_signals() -> None:
 class Interrupt:
     """Notes Ctrl-C, or the SIGTERM of a batch queue, without interrupting a step of a solve.
 
-    A second signal raises KeyboardInterrupt, unless it comes within IMPATIENCE seconds of the first, in which the step
-    may not have ended yet.
+    A second signal raises KeyboardInterrupt if it comes more than IMPATIENCE seconds after the first one. The step has
+    this time to end.
 
     heard : True once a signal has come.
     """
@@ -302,7 +302,7 @@ class Interrupt:
             self._at_once = False
             timer.cancel()
             if timer.ident is not None:
-                timer.join()  # it is too late for the last time
+                timer.join()  # if it is just sending its signal, that comes before the context ends
 
     def _end(self) -> None:
         """Send Ctrl-C to the main thread since the time is up."""
@@ -311,13 +311,13 @@ class Interrupt:
         _thread.interrupt_main()
 
     def _hear(self, _: int, frame: FrameType | None) -> None:
-        """Handle a signal, or the end of the time that `at_once` allows: set `heard` at a signal, and raise GivenUp if
-        work runs inside `at_once`.
+        """Handle Ctrl-C or SIGTERM: set `heard`, and raise GivenUp if work runs inside `at_once`. If this process has
+        sent the signal itself, as at the end of the time that `at_once` allows, `heard` stays as it is.
 
         frame : frame of Python that the signal interrupts.
         _ : number of the signal.
         """
-        # a signal that this process has sent to itself (`_end`, `again_soon`) is not one that was heard
+        # `_end` and `again_soon` mark the signals that they send
         is_own, self._is_own = self._is_own, False
         if is_own:
             pass
@@ -329,8 +329,8 @@ class Interrupt:
             raise KeyboardInterrupt
 
         def is_wanted() -> bool:
-            """Return True if the work inside `at_once` is still going on. It is asked just before the signal is sent
-            again."""
+            """Return True if the work inside `at_once` is still going on, and then mark the signal that `again_soon`
+            is about to send as this process's own."""
             self._is_own = self._at_once
             return self._at_once
 

@@ -37,8 +37,8 @@ class Later(ModuleType):
             setattr(self, function, self._called_later(function))
 
     def __getattr__(self, name: str) -> Any:
-        """Return what the module has under a name; the module is loaded if it is not yet. One with `functions` is no
-        package, which the statement `import` asks for by the name __path__."""
+        """Return what the module has under a name; the module is loaded if it is not yet. Raises AttributeError for the
+        name __path__ if the module is a single file: by this name the statement `import` asks for packages."""
         if name == "__path__" and self._is_file:
             raise AttributeError(name)
         if sys.modules.get(self.__name__) is self:
@@ -60,7 +60,7 @@ _commands: list[bool] = []  # an entry if this process runs a command, and not t
 
 def postpone(names: tuple[str, ...] = RARELY_USED) -> None:
     """Replace parts of packages in this process by stand-ins of the same name, each of which loads the part when
-    something of it is first used.
+    something of it is first used. Unless SciPy's graphs are loaded, their Laplacian (LAPLACIAN) is replaced, too.
 
     names : names of the parts, such as "numpy.testing". Their packages are loaded; parts that are loaded already stay.
 

@@ -242,7 +242,7 @@ def watch() -> None:
     if _watched or sys.platform == "win32":
         return
     _watched = True
-    if not atexit._ncallbacks():  # those registered before, as by a tool that counts lines, would not be called
+    if not atexit._ncallbacks():  # functions registered before, as by a tool that counts lines, would not be called
         atexit.register(_end_without_clearing)  # the first to be registered is the last to be called
     reading, writing = os.pipe()
     os.set_blocking(writing, False)

@@ -56,7 +56,7 @@ class TerminalLine:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End the line."""
+        """Stop showing the line, and wait for the thread that writes it."""
         self._over.set()
         if self._thread.is_alive():
             self._thread.join()
@@ -210,13 +210,13 @@ def gap_of(report: Any) -> float:
 
 
 def forecast(stage: Stage) -> tuple[float, str]:
-    """Return the seconds that were left when a stage of work last reported, infinite if unknown, and words on what that
-    time leads to, such as " to gap 1e-08".
+    """Return the seconds that were left when a stage of work last reported, infinite if unknown, and words to follow
+    this time: what it leads to, such as " to gap 1e-08" or " to the time limit", or how it was estimated.
 
     stage : the stage of work.
 
-    The pace is that of the last two thirds of the stage's time, as kernels may be compiled in the first third. As long
-    as no pace is known, the time left is what is left of the time that was expected.
+    The pace is that of the last two thirds of the stage's time, as kernels may be compiled in the first third. Where no
+    pace is known, or it leaves more than FARTHEST times the time so far, the expected time of the stage is used.
     """
     seconds, report = (stage.done[-1][0] if stage.done else 0.0), stage.report
     left = seconds_left([point for point in stage.done if point[0] >= seconds / WINDOW])  # the first part may compile
@@ -230,11 +230,11 @@ def forecast(stage: Stage) -> tuple[float, str]:
 
 
 def share_of(report: Any) -> tuple[float, str]:
-    """Return the share of a solve that is done, from 0 to 1, and in words what will end it. The share is not-a-number
-    if the time left does not follow from it.
+    """Return the share of a solve that is done, from 0 to 1, not-a-number if unknown, and in words what will end it.
 
-    report : what the solve says at a check, a solvers.drive.Report: `progress` has iteration, time and gap; `stop` has
-        limits and tolerance.
+    report : what the solve says at a check, a solvers.drive.Report. Its `progress` has the simulated time of a
+        dynamics, and how the gap of other methods falls: as iteration^-k with k = `falls_as`, if that is not 0, else by
+        equal factors in equal times, to `falls_to`. Its `stop` has the duration and the tolerance.
     """
     gap = gap_of(report)
     progress, stop = report.progress, report.stop

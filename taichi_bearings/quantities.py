@@ -88,8 +88,8 @@ def _fact(name: str) -> Callable[[Answer], object]:
 
 
 def _of_unique_slips(value_of: Callable[[Answer], object]) -> Callable[[Answer], object]:
-    """Return a function that does what `value_of` does where a contact that slips at every minimum has the same slip at
-    all of them (on lattices), and returns None elsewhere (for packings).
+    """Return a function of an answer that returns None for packings and what `value_of` returns for lattices. There a
+    contact that slips at every minimum has the same slip at all of them.
 
     value_of : function of an answer.
     """

@@ -243,10 +243,10 @@ class _Record:
 
         core : the compiled module of Taichi.
         """
-        # The rest is what `walk` makes of the calls. The place of a value is the number, from 0, of the step that
-        # returns it, or a negative number for an object that every walk begins with (`_given`, by type) or for a
-        # constant (`_constants`, by how it is stored). `_places` has it by the `id` of the value. `_steps` are the
-        # calls: name, places of the arguments, and keywords of the last of these.
+        # Where a value comes from is its place: the number, from 0, of the step (call) that returns it, or a negative
+        # number for an object that every walk begins with or for a constant. `walk` fills: `_constants`, places by how
+        # constants are stored; `_places`, places by the `id` of values; `_steps`, for each call its name, the places of
+        # its arguments, and the keywords of the last of these. `_given` has the first objects' places by type.
         self.calls, self.functions = list[tuple[str, tuple[Any, ...], dict[str, Any], Any]](), list[Any]()
         self._core, self._kinds = core, core.DataType
         self._given = {kind: -1 - n for n, kind in enumerate(_given_kinds(core))}
@@ -306,9 +306,8 @@ class _Record:
         return self._needed()
 
     def _needed(self) -> Walk:
-        """Return the walk as it is stored: names of the functions that are called, constants, and calls. Kept are the
-        recorded calls (steps) that change something, and those whose results kept ones take; queries whose results
-        nothing takes are left out. The kept steps are numbered anew."""
+        """Return the walk as it is stored: names of the functions that are called, constants, and calls (steps). A step
+        is kept if it changes something, or if its result is an argument of a later step that is kept."""
         steps, needed, kept = self._steps, bytearray(len(self._steps)), list[int]()
         # backwards, so that it is known of each query whether a later step that is kept takes its result
         is_query = {name: name.rpartition(".")[2].startswith(QUERIES) for name in {step[0] for step in steps}}
@@ -319,7 +318,7 @@ class _Record:
                     if at >= 0:
                         needed[at] = 1
         kept.reverse()
-        # places from 0: given objects and constants, which had negative numbers, then the results of the kept steps
+        # new places, from 0: given objects and constants, which had negative ones, then the results of the kept steps
         begin = len(self._given) + len(self._constants)
         moved = dict(zip(kept, range(begin, begin + len(kept)), strict=True))
         moved |= {-1 - n: n for n in range(begin)}
@@ -376,9 +375,10 @@ class _Record:
         """Return the place of a constant of the walk, a negative number by which recorded calls refer to it. A constant
         that is seen for the first time gets a new place.
 
-        described : its sort (PLAINLY, KIND or MEMBER) and what `_constant_from` makes it of. Its text is part of the
-            key, so that equal numbers of different types, and the two zeros, are different constants.
+        described : the constant as it is stored: its sort (PLAINLY, KIND or MEMBER), then one or two values that say
+            what it is.
         """
+        # the text is part of the key: equal numbers of different types, and 0.0 and -0.0, are different constants
         first = -1 - len(self._given)
         return first - self._constants.setdefault((*described, repr(described)), len(self._constants))
 
@@ -412,6 +412,7 @@ def _repeat(core: Any, kernel: Any, config: Any, walk: Walk) -> None:
     walk : what was recorded, as `Walk` describes.
     """
     names, constants, calls = walk
+    # values by their place, and functions by the number of their name
     values = [core.DebugInfo(), config, kernel, kernel.ast_builder()]
     values += [_constant_from(core, *described[:-1]) for described in constants]
     tools: list[Any] = [{LIST: _listed, ITEM: getitem}.get(name) or attrgetter(name)(core) for name in names]

@@ -234,13 +234,12 @@ def _loads_between(
 
 
 def _ends_of_pairs(network: SliplessNetwork) -> Iterator[tuple[np.ndarray, np.ndarray, int]]:
-    """Yield the ends of paths: for each driven body the spheres of that body and of all later ones that some path over
-    free spheres connects. A path connects two driven spheres if they have links to the same connected piece of free
-    spheres.
+    """Yield, for each driven body but the last, the ends of the paths between it and all later bodies: the numbers of
+    the spheres of this body, those of the spheres of later bodies (the shorter array first), and the number of pairs of
+    them that some path connects. Paths lead over free spheres: they connect two driven spheres if both have links to
+    the same connected piece of free spheres. Spheres without a path are left out.
 
     network : a graph of spheres, some of them driven, and of links between them.
-
-    Each item has the numbers of the spheres, of the fewer ones first, and the number of connected pairs.
     """
     pieces_of = _linked_pieces(network)
     bodies = [network.touched_of(body).tolist() for body in network.driven_nodes]

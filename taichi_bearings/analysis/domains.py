@@ -55,13 +55,13 @@ class RigidDomains:
     component_domain : (components C, spheres *N), number of the domain of each sphere by component k: spheres that
         slipless contacts force to have the same component k, whatever the others are.
     domain : (*N), number of the rigid domain of each sphere: 0, 1, ... by falling number of spheres.
-    spheres : (domains D,), spheres of each of the D rigid domains, driven ones included.
+    spheres : (domains D,), number of spheres of each of the D rigid domains, driven ones included.
     staggered : (D, C), mean spin of each domain, 1/time, with opposite signs for neighbours and measured from the
         bottom plane.
-    spread : largest difference between a component of the spin of a sphere and the mean of its domain, or the top's
-        spin where the domain is locked to the top; 0 but for rounding.
-    lock : (D, C), values of `Lock`: to which driven bodies slipless contacts join the domain, one bit for each.
-    jump : (D, C), spin of the top plane in the layers of each domain, counted like `staggered`.
+    spread : largest deviation of a sphere's spin component from the spin of its domain: from that of the top where the
+        domain is locked to the top, else from the mean of the domain. It is 0 but for rounding.
+    lock : (D, C), driven bodies to which slipless contacts join each domain by each component: one bit a body (`Lock`).
+    jump : (D, C), spin of the top plane in the layers of each domain, with signs and origin as in `staggered`.
     bodies : names of the driven bodies.
 
     For a packing spins are sign * radius * spin, length/time, with signs by which neighbours differ.
@@ -88,9 +88,10 @@ class RigidDomains:
 
         spin_axes : numbers of the components.
         labels : (C, spheres), number of the domain of each sphere in each component.
-        tied : (C, spheres), driven bodies to which that domain is locked, as values of `Lock`.
+        tied : (C, spheres), driven bodies to which that domain is locked, one bit a body (`Lock`).
         spins : (C, spheres), spins with opposite signs for neighbours, measured from the bottom.
-        jump : (C, spheres), spin of the top, counted as `spins`; None where driven bodies are not in bearing states.
+        jump : (C, spheres), spin of each sphere if it turned with the top, with signs and origin as in `spins`; None if
+            driven bodies are not in bearing states.
         shape : shape of arrays over the spheres.
         bodies : names of the driven bodies.
         """
@@ -108,7 +109,8 @@ class RigidDomains:
 
     @property
     def locks(self) -> tuple[str, ...]:
-        """Names of the kinds of rigid domain, in the order of LOCKS, for the driven bodies of this sample."""
+        """Names of the kinds of rigid domain, which `kind` numbers: each driven body, "both" (of more than two bodies
+        "several"), "mixed", "partly" and "neither"."""
         return (*self.bodies, "both" if len(self.bodies) == 2 else "several", *LOCKS[INTERMEDIATE:])
 
     @property
@@ -118,21 +120,22 @@ class RigidDomains:
 
     @cached_property
     def kind(self) -> np.ndarray:
-        """(domains D,) the kind of each rigid domain, as an index in `locks`: to which driven bodies slipless contacts
-        join it in its components."""
+        """(domains D,), kind of each rigid domain, as an index in `locks`: the driven body to which it is locked in all
+        components; "both" or "several" if there are more such bodies; "mixed" if it is locked in all components, but to
+        different bodies; "partly" if in some components only; "neither" if in none."""
         count = len(self.bodies)
         to_body = [(self.lock >> body & 1 > 0).all(axis=1) for body in range(count)]  # in all components
         is_locked, to_several = self.lock != Lock.NEITHER, np.sum(to_body, axis=0) > 1
-        # the first condition that holds counts; `locks` has the bodies, then both, mixed, partly and neither
+        # the first condition that holds decides
         conditions = [to_several, *to_body, is_locked.all(axis=1), is_locked.any(axis=1)]
         return np.select(conditions, [count, *range(count), count + 1, count + 2], count + 3)
 
     @property
     def turn(self) -> np.ndarray:
-        """(domains D, components C) staggered spin of each rigid domain, divided by that of the top: 0 rotates with the
-        bottom, 1 with the top. Where imposed spins vary over a plane, those in the layers of the domain are compared.
+        """(domains D, components C), spin of each rigid domain on a scale from the spin of the bottom, 0, to that of
+        the top, 1. Where imposed spins vary over a plane, those in the layers of the domain are taken.
 
-        Domains that are locked to neither plane have 0 where bottom and top have the same spin.
+        A domain that is locked to neither plane has 0 where bottom and top have the same spin.
         """
         share = np.divide(self.staggered, self.jump, out=np.zeros_like(self.staggered), where=self.jump != 0)
         return np.where(self.lock == Lock.TOP, 1.0, np.where(self.lock == Lock.NEITHER, share, 0.0))
@@ -241,8 +244,8 @@ def refined(labels: np.ndarray) -> np.ndarray:
 
 
 def _domains_of_component(network: SliplessNetwork, component: int, is_uneven: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return two arrays (spheres,): the number of the domain of each sphere in one spin component, and the driven
-    planes to which that domain is locked, as `Lock`: those of which it has a sphere.
+    """Return two arrays (spheres,) for one spin component: the number of the domain of each sphere, and the driven
+    planes to which this domain is locked, as `Lock`. A domain is locked to a plane if it contains a sphere of it.
 
     network : the slipless contacts.
     component : number of the component.
@@ -267,7 +270,7 @@ def _domains_of_component(network: SliplessNetwork, component: int, is_uneven: b
     piece, bottom, top = (number[of].ravel() for of in (node, bottom_node, top_node))
     # all spheres locked to the bottom are one domain, and all locked to the top another
     label = np.unique(np.where(piece == bottom, 0, np.where(piece == top, 1, piece + 2)), return_inverse=True)[1]
-    # which may reach the top in some layers only, where both planes have the same spin
+    # the domain of the bottom is locked to the top, too, if a layer in which both have the same spin joins them
     lock = np.zeros(label.max() + 1, dtype=np.int64)
     np.bitwise_or.at(lock, label, Lock.BOTTOM * (piece == bottom) + Lock.TOP * (piece == top))
     return label, lock[label]

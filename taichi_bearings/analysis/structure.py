@@ -40,20 +40,20 @@ OF_THE_RUN = ("power", "lower_bound", "slipping", "slipless", "tied", "undecided
 """Results of the run itself, which come before those of the structure in `numbers`."""
 LEFT_OVER = 1e-3  # torques left over on free spheres, together and relative to that on a body, that count as none
 MAY_BE_ABSENT = ("planes_crossed", "winds_x", "winds_y", "spanning_winds_x", "spanning_winds_y", "mean_saturation")
-"""Results that are left out of `numbers` where they make no sense."""
+"""Results that are left out of `numbers` where they have no value."""
 
 
 @dataclass(frozen=True)
 class TorqueFlow:
     """The torque that drives a sample, and the power that it brings into the network of contacts.
 
-    total : (components C,), force * length: torque that drives the top plane, or the second of two bodies, by spin
-        component. With fewer or more than two bodies (bodies, C), the torque on each. Torques on neighbouring spheres
-        are added with opposite signs. None if the forces leave torques on free spheres, as those of a dynamics may:
-        then different torques pass through different layers.
-    power : (bodies,), power that each body spends, energy/time. For the forces that prove the lower bound of the
-        Coulomb law, the sum is a lower bound, too.
-    slipless_share : share of the power between two bodies that slipless contacts carry; 0 without power, None where the
+    total : torque, force * length, summed over spheres with opposite signs for neighbours. With two driven bodies: that
+        on the second one, on lattices the top plane, by spin component that the driving needs. Else (bodies, components
+        C), that on each body. None if forces leave torques on free spheres, as those of a dynamics may: then different
+        torques pass through different layers.
+    power : (bodies,), power that each body spends, energy/time. If the forces are those that prove the lower bound of
+        the Coulomb law, the sum of these powers is a lower bound as well.
+    slipless_share : share of the power that slipless contacts carry between two bodies; 0 without power. None where the
         two bodies are not in bearing states or `total` is None.
     """
 
@@ -198,8 +198,8 @@ class Structure:
 
     @cached_property
     def interface(self) -> Interface | None:
-        """The lightest interface between two rigid domains, a minimum cut: each domain rotates with one of two driven
-        bodies. None if there are not two driven bodies in bearing states, at which no contact slips.
+        """The minimum cut: the lightest interface between two rigid domains, each rotating with one driven body.
+        None unless there are two driven bodies in bearing states (spins at which no contact slips).
         """
         with stage("finding the minimum cut"):
             return find_interface(self.scene)
@@ -273,9 +273,9 @@ class Structure:
     def torque_flow(self) -> TorqueFlow:
         """Torques on the driven bodies, the power that each spends, and the share of it that slipless contacts carry.
 
-        The share is None unless two bodies are driven, both in bearing states. It weights each contact by its force
-        times the difference of the imposed speeds of both bodies, times the difference of the heights of its spheres:
-        `driving.heights` is 0 at one body and 1 at the other. These weights add up to the power.
+        The share is None unless two bodies are driven, both in bearing states. What a contact carries is a product of
+        three: its force; the difference of the imposed speeds of the two bodies; and the difference of the heights of
+        its spheres (`driving.heights`, 0 at one body, 1 at the other). The sum over all contacts is the power.
         """
         whole, imposed, (odd, sign) = self.whole, self.scene.driven_speed, self.signs
         first, second = whole.contact
@@ -331,7 +331,8 @@ class Structure:
 
     @cached_property
     def numbers(self) -> Json:
-        """All results by name, as `bearings analyse --json` writes them; None for numbers that are not finite."""
+        """All results by name, as `bearings analyse --json` writes them; None for numbers that are not finite. Those in
+        MAY_BE_ABSENT are left out where they have no value."""
         states = {which.name.lower(): self.contacts_in(which) for which in ContactState}
         of_run = {name: states[name] if name in states else getattr(self, name) for name in OF_THE_RUN}
         found = {row.name: row.of(self) for row in self._rows()}

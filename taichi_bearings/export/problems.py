@@ -107,8 +107,9 @@ def cbf(system: ContactSystem, bearing: Bearing) -> str:
     rows = sparse.block_diag([system.operator, sparse.eye_array(2 * count), sparse.csr_array((count, 0))], format="csr")
     constant = np.concatenate([system.offset.ravel(), np.zeros(2 * count), np.full(count, 0.5)])
     # choose the rows of each cone: its heads, t or (s, 1/2), and then the components of the slip that can change
+    # (rows form blocks with a row for every contact: d blocks of slip components, then one each of t, s and 1/2)
     order, cones = [], list[str]()
-    for force, heads, kind in ((friction, [d], "Q"), (viscosity, [d + 1, d + 2], "QR")):  # blocks of t; of s and of 1/2
+    for force, heads, kind in ((friction, [d], "Q"), (viscosity, [d + 1, d + 2], "QR")):  # a cone, a rotated cone
         contacts = np.flatnonzero(force)
         cone_of_slip, tangent = np.nonzero(can_change[:, contacts].T)
         cone = np.concatenate([np.tile(np.arange(len(contacts)), len(heads)), cone_of_slip])
@@ -128,8 +129,9 @@ def cbf(system: ContactSystem, bearing: Bearing) -> str:
 
 
 def write_fclib(file: h5py.File, system: ContactSystem, bearing: Bearing) -> None:
-    """Write the minimisation problem in the layout of fclib_write_local. The local frame of a contact is its normal,
-    then its tangents.
+    """Write the minimisation problem in the layout of fclib_write_local: velocity = V lambda + q, V^T r + s = 0, where
+    r are the contact forces, W = R = 0, and lambda are radius * spin of the free spheres and then, for each contact, a
+    velocity along its normal. The local frame of a contact is its normal, then its tangents.
 
     file : the opened file.
     system : matrix and constant part of the slips.

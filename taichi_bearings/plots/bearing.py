@@ -168,7 +168,7 @@ class Sheet:
         chosen : mask over all contacts of the bearing, True for those to be shown.
         across : False for lines from centre to centre, True for lines between the two discs at right angles to that.
 
-        A contact over a periodic side has two lines: half of one at either side, or one across at both.
+        A contact over a periodic side has two lines, at opposite sides: halves of one, or with `across` whole lines.
         """
         which = np.flatnonzero(chosen[self.contact])
         # contacts in the back come first, so that those in front cover them

@@ -155,8 +155,8 @@ SUPERSCRIPTS = str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u207
 class PlainLogFormatter(LogFormatter):
     """Formats labels of a logarithmic axis in plain text, which is drawn ten times faster than mathematics.
 
-    Powers of ten are written as such, or in full if the axis has no more than two of them: then numbers between them
-    are labelled, too, but on a horizontal axis of more than a decade only the one that begins with 3.
+    Powers of ten are written with exponents; in full if the axis has at most two. What matplotlib labels between them
+    is written in full; on a horizontal axis of more than a decade only numbers that begin with 3 are.
     """
 
     def __call__(self, value: float, position: int | None = None) -> str:

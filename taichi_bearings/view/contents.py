@@ -113,6 +113,7 @@ def facts_of(drawn: PointsAndLines) -> Json:
     drawn : spheres and contacts as points and lines, with their columns, their structure, and the answer they belong
         to."""
     structure, states, law = drawn.structure, drawn.contacts["state"].values, drawn.structure.scene.law
+    # facts of lattices or of packings alone, largest imposed spin, power in its natural unit, and proven bound in words
     specific, fastest, natural, bound = (_of_lattice if drawn.is_lattice else _of_packing)(drawn)
     proven = bool(drawn.contacts["proven"].values[states != ContactState.DRIVEN].all())
     decided = "proven" if proven else f"decided by {'slip and friction' if law.has_friction else 'slip'}, not proven"
@@ -211,12 +212,10 @@ def _median(radius: np.ndarray) -> float:
 
 
 def _ends_of_scales(drawn: PointsAndLines, fastest: float) -> Json:
-    """Return the ends of the colour scales, by name.
-
-    spin_max : end of the scale of spins, 1/time.
-    beyond : True if a drawn spin exceeds it.
-    bottleneck_share, busiest_share : betweennesses of contacts (shares of the shortest paths from bottom to top): the
-        least of the BOTTLENECKS largest ones, and the largest; 0 where none is known.
+    """Return the ends of the colour scales, by name: `spin_max`, the end of the scale of spins, 1/time; `beyond`, True
+    if a drawn spin exceeds it; `busiest_share`, the largest betweenness of a contact (share of the shortest paths from
+    bottom to top that run through it); and `bottleneck_share`, the least of the BOTTLENECKS largest betweennesses. The
+    last two are 0 where no betweenness is known.
 
     drawn : the spheres and contacts that are shown.
     fastest : the largest imposed spin, of a sphere of median size, 1/time.
