@@ -227,19 +227,16 @@ def reaches(values: ti.template(), at: ti.template(), bound_step, change: ti.tem
 
 @ti.func
 def prepared(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-    """Return for one contact, in one list, the numbers that all Newton steps from an iterate share and the aim of the
-    first of these steps.
+    """Return for one contact a list: numbers that all Newton steps from an iterate share, and the aim of the first one.
 
     A contact has two points: primal (bound of the slip, slip) and dual (friction limit, minus force). Each has a head,
     one number, and a tail, one number for each slipping component (1 or 2). A symmetric matrix W scales both to one
     point p = W^-1 primal = W dual. The list has, in this order:
 
-    * W: its weight, then its rotation (head, tail);
-    * p (head, tail);
-    * of the matrix W^-2: 1 over its entry head-head (0 for a contact in no cone: row SMOOTH above 0), then its entries
-      head-tail, then the stiffness, which is its part tail-tail once the head is eliminated (in no cone the stiffness
-      of the friction law): 1 number, or xx, xy, yy of a symmetric matrix;
-    * the aim, a product 0 of both points as at the minimum: right-hand side (head, tail) and pull on the spheres.
+    * the weight of W, and the head and tail of its rotation; the head and tail of p;
+    * of W^-2 the inverse of entry head-head (0 in no cone: row SMOOTH above 0), and the entries head-tail;
+    * the stiffness left of W^-2 once the head is eliminated (in no cone that of the friction law): xx, or xx, xy, yy;
+    * right-hand side (head, tail) that aims at a product 0 of both points, as at the minimum, and pull on the spheres.
 
     values : numbers of all contacts, flat, row by row (a row has one number of each): the iterate and two steps.
     at : lists. at[0] has for each row of the iterate the index in `values` of the number of the block's first contact;
