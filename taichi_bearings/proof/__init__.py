@@ -94,7 +94,7 @@ k              components, k            a component of spins: of discs one, of s
 u              spin                     R omega; of lattices signed, and measured from the bottom
 y              slips(), slip            slips, and their sizes
 F, n x F       friction, moment         friction on the second sphere; minus its torque on both
-mu F_n, eta    holding, slope           friction that a contact bears; its damping
+mu F_n, eta    friction_limit, damping  friction that a contact bears; its damping
 b              imposed                  slips by what is imposed; `imposed` has its spins
 r              torques()                torques over the radius that friction leaves over
 E              bounds.excess            upper bound less lower bound

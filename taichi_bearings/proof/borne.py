@@ -96,17 +96,19 @@ def at_rest_beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
     if unknown is None or not longest < UP:
         return found
     known, most_change = known_friction(bounds, far)
-    rests = network.counts & ~known & ((network.holding - length(bounds.friction)).lower() > 0)
+    rests = network.counts & ~known & ((network.friction_limit - length(bounds.friction)).lower() > 0)
     # Contacts that can roll exactly are sought among those with friction left. Optimal friction is at most mu F_n, and
     # with damping eta (slip + far) more.
-    limit = network.holding.most + np.where(network.slope.high > 0, network.slope.most * (network.slip.most + far), 0.0)
+    limit = network.friction_limit.most + np.where(
+        network.damping.high > 0, network.damping.most * (network.slip.most + far), 0.0
+    )
     number = numbered(unknown)
     exact = ExactMotions.of(network, number, rests)
     friction_bounds = FrictionBounds(network, number, exact, bounds.friction, known, most_change * UP, limit * UP)
     # Contacts in loops rest where the bound on their friction is below the limit.
     loop_pieces = friction_bounds.split_into_pieces()
     for piece in loop_pieces:
-        found[piece.contacts] = piece.largest < (1 - ROUNDED_NORMAL) * network.holding.least[piece.contacts]
+        found[piece.contacts] = piece.largest < (1 - ROUNDED_NORMAL) * network.friction_limit.least[piece.contacts]
     found &= rests
     if exact.contacts.any():
         found[exact.contacts] = ExactlyRolling(friction_bounds, loop_pieces).rests()
@@ -265,7 +267,7 @@ class ExactlyRolling:
     def margin(self) -> np.ndarray:
         """(q,), for each exactly rolling contact the friction that it has left: its limit mu F_n less the size of the
         stored friction."""
-        limit = self.friction_bounds.network.holding.least[self.contacts]
+        limit = self.friction_bounds.network.friction_limit.least[self.contacts]
         return np.asarray(limit - np.linalg.norm(self.friction_bounds.friction[self.contacts], axis=1))
 
     def rests(self) -> np.ndarray:
@@ -279,7 +281,7 @@ class ExactlyRolling:
         springs = SpringsUnderLoad.of(self, margin**2)
         most_change = self.friction_bounds.most_change[self.bounded_contacts]
         found, last = np.zeros(len(margin), dtype=bool), np.inf
-        limit = self.friction_bounds.network.holding.least[self.contacts]
+        limit = self.friction_bounds.network.friction_limit.least[self.contacts]
         if springs is None:
             return found
         # Small loads of other contacts are left to one last correction.
@@ -331,7 +333,11 @@ class ExactlyRolling:
         friction, (middle, half_length) = self.friction_bounds.friction[self.contacts], self.intervals
         # The size of the friction with all loops so far, what it may be, and the contacts that bear a loop already.
         largest, is_used = np.linalg.norm(friction, axis=1), none.copy()
-        limit = (1 - 2 * ROUNDED_NORMAL) * network.holding.least[self.contacts] - by_others - self._corrected(residual)
+        limit = (
+            (1 - 2 * ROUNDED_NORMAL) * network.friction_limit.least[self.contacts]
+            - by_others
+            - self._corrected(residual)
+        )
         for loop in range(len(middle)):
             load = self.loads[1][:, [loop]].toarray().ravel()
             spheres, close = self._close_to(load)
@@ -415,7 +421,7 @@ class ExactlyRolling:
         residual : (n,), bound on the torque on each unknown that the last correction has to balance. Torques along
             motions without slip are left out, as they cancel (step 4 at the head of this file).
         """
-        limit, part = self.friction_bounds.network.holding.least[self.contacts], self.part_of_contact
+        limit, part = self.friction_bounds.network.friction_limit.least[self.contacts], self.part_of_contact
         is_below = (largest + self._corrected(residual)) * UP < (1 - ROUNDED_NORMAL) * limit
         return np.asarray(np.bincount(part, ~is_below)[part] == 0)
 

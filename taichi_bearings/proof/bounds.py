@@ -137,15 +137,15 @@ class Bounds:
                 work = work + row_sum((torque.at(driven) * imposed.at(driven)).reshaped((count, -1)))
         size = network.graph.lengths(friction) if network.mixes else network.own_size
         # 2. The worst ratio of F to its limit. 3. The cost of F beyond the limit, (|F| - mu F_n)^2 / (2 eta).
-        undamped = network.counts & (network.slope.high == 0)
-        damped = np.flatnonzero(network.counts & (network.slope.high > 0))
+        undamped = network.counts & (network.damping.high == 0)
+        damped = np.flatnonzero(network.counts & (network.damping.high > 0))
         worst = _largest_ratio(network, size, undamped)
         if (worst > 1).any():
             size = size / Enclosure.exact(network.on_contacts(worst))
         beyond = size.at(damped)
         if network.law.has_friction:
-            beyond = Enclosure.exact(np.maximum((beyond - network.holding.at(damped)).upper(), 0.0))
-        cost = network.by_sample((beyond * beyond / network.slope.at(damped)).signed(0.5), damped)
+            beyond = Enclosure.exact(np.maximum((beyond - network.friction_limit.at(damped)).upper(), 0.0))
+        cost = network.by_sample((beyond * beyond / network.damping.at(damped)).signed(0.5), damped)
         least = work / Enclosure.exact(worst) - cost
         # Where components mix and the upper bound is 0, `least` is no bound; but no power is below 0, which `upper` is.
         lower = np.minimum(least.lower(), upper)
@@ -178,7 +178,7 @@ def _balanced_by_springs(
     if springs is None and count > 1:
         return None
     friction, torques, unknown = network.own_friction, network.own_torques, None
-    fastest = FASTEST_COMPARED * float(network.box.max(initial=0.0))
+    fastest = FASTEST_COMPARED * float(network.largest_imposed.max(initial=0.0))
     reach = np.full(count, np.inf)  # (R,), bound on spins times radius at some minimum
 
     def sum_of_sizes(torques: list[Enclosure]) -> np.ndarray:
@@ -229,7 +229,7 @@ def _price(network: JudgedNetwork, torques: list[Enclosure]) -> Enclosure:
     network : R samples with n spheres in all.
     torques : torque over radius on each of the n spheres by spin component, C enclosures (n,)."""
     total = Enclosure.exact(np.zeros(network.count))
-    for torque, reach, size in zip(torques, network.reach, network.box, strict=True):
+    for torque, reach, size in zip(torques, network.reach, network.largest_imposed, strict=True):
         if size and (torque.high.any() or torque.error.any()):
             lost = network.graph.power_lost(torque, reach, network.reached)
             total = total + row_sum(lost[np.flatnonzero(network.free)].reshaped((network.count, -1)))
@@ -246,8 +246,8 @@ def _largest_ratio(network: JudgedNetwork, size: Enclosure, undamped: np.ndarray
     size : (m,), |F| of all m contacts.
     undamped : (m,) mask of the contacts without viscosity, whose friction has a limit."""
     found, about = np.ones(network.count), np.zeros(len(network.acts))
-    np.divide(size.high, network.holding.high, out=about, where=undamped)
+    np.divide(size.high, network.friction_limit.high, out=about, where=undamped)
     most = about.reshape(network.count, -1).max(axis=1, initial=1.0)
     large = np.flatnonzero(undamped & (about >= network.on_contacts(most * (1 - DOUBLE_ERROR))))
-    np.maximum.at(found, network.sample_of(large), (size.at(large) / network.holding.at(large)).most)
+    np.maximum.at(found, network.sample_of(large), (size.at(large) / network.friction_limit.at(large)).most)
     return found

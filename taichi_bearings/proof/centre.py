@@ -130,12 +130,12 @@ class Centre:
     @cached_property
     def strength(self) -> Enclosure:
         """Friction limits mu F_n of the S slipping contacts, (S,)."""
-        return self.network.holding.at(self.slipping)
+        return self.network.friction_limit.at(self.slipping)
 
     @cached_property
     def damping(self) -> Enclosure:
         """Damping eta of the S slipping contacts, an enclosure (S,); 0 where a contact has none."""
-        return self.network.slope.at(self.slipping)
+        return self.network.damping.at(self.slipping)
 
     @cached_property
     def with_friction(self) -> np.ndarray:
@@ -219,7 +219,7 @@ class Centre:
     def usual_stiffness(self, contacts: np.ndarray) -> np.ndarray:
         """Return stiffnesses (q,) of springs at the contacts with the indices `contacts` (q,), force over slip speed:
         mu F_n / |y| with the median |y| of slipping contacts."""
-        limit: np.ndarray = self.network.holding.value[contacts]
+        limit: np.ndarray = self.network.friction_limit.value[contacts]
         return limit / (np.median(self.size.value[self.with_friction]) if len(self.with_friction) else 1.0)
 
     def rows_of_curvature(
@@ -236,7 +236,7 @@ class Centre:
         * if it slips and has damping, three: the components of the change of the slip, times eta^1/2,
         * if it has a spring, three: the components of its slip, times the root of the stiffness.
         """
-        slipping, some, strength = self.slipping, self.with_friction, self.network.holding.value
+        slipping, some, strength = self.slipping, self.with_friction, self.network.friction_limit.value
         rubbing, damped = slipping[some], slipping[self.damping.high > 0]  # indices of contacts, as `springs` are
         across = np.cross(
             self.network.graph.normal[rubbing], np.stack([part.value[rubbing] for part in self.slips], axis=1)
@@ -248,7 +248,7 @@ class Centre:
         further = 3 * (len(damped) + len(springs))  # number of rows after those of friction
         row = np.append(np.tile(np.arange(len(some)), 3), len(some) + np.arange(further))
         shape = (len(some) + further, self.rows.shape[0])
-        damping_root = np.sqrt(self.network.slope.value[damped])
+        damping_root = np.sqrt(self.network.damping.value[damped])
         root = np.concatenate([np.tile(friction_root, 3), np.tile(damping_root, 3), np.tile(np.sqrt(stiffness), 3)])
         unit = np.append(across.T.ravel(), np.ones(further))
         rows = sparse.csr_array(sparse.csr_array((root * unit, (row, column)), shape=shape) @ self.rows)
@@ -577,7 +577,7 @@ class Centre:
         for end in network.graph.contact[:, self.resting]:
             np.add.at(torque, end, change[:, None] * UP)
         by_exact = self._norms_on_spheres(exact.unit * torque, exact.spheres) / exact.floor * UP**2
-        margin = (network.holding - length(self.friction)).lower() - ROUNDED_NORMAL * network.holding.most
+        margin = (network.friction_limit - length(self.friction)).lower() - ROUNDED_NORMAL * network.friction_limit.most
         change = np.where(rolls, by_exact[sample], change)
         return self._samples_where_all(margin[self.resting] > change * UP, sample)
 

@@ -118,8 +118,8 @@ class Slipping:
                 if len(with_k):
                     difference[slot].put(with_k, motion.difference(k, slipping[with_k]))
         strength, damping = (
-            network.holding.at(slipping),
-            network.slope.at(slipping) if network.law.has_viscosity else None,
+            network.friction_limit.at(slipping),
+            network.damping.at(slipping) if network.law.has_viscosity else None,
         )
         place = network.graph.middle(slipping).T
         curved, pair = np.flatnonzero((felt >= 0).all(axis=0)), (difference[0], difference[1])
@@ -344,7 +344,7 @@ def bearable(
     # Compare the stored friction and what is added to it, a vector of the components, with the friction limit.
     resting = np.flatnonzero(motion.rests & network.counts)
     feels = {k: network.feels[k][resting] for k in network.needed}
-    margin = network.holding.at(resting) - network.own_size.at(resting)
+    margin = network.friction_limit.at(resting) - network.own_size.at(resting)
     first = network.graph.contact[0, resting]
     added = np.sqrt(sum(np.where(feels[k], added_by_domain[k][first], 0.0) ** 2 for k in network.needed))
     takes_part = np.any(list(feels.values()), axis=0)

@@ -59,7 +59,7 @@ class JudgedNetwork:
     spin : u by component, C enclosures (n,); on lattices times the sign of the sublattice, so that equal u roll.
     moment : unit normal x F by component, C enclosures (m,). Its negative is the torque over radius on both spheres of
         a contact. 0 where a contact takes no part.
-    holding, slope : friction limits mu F_n and damping eta, enclosures (m,), 0 where a law has none.
+    friction_limit, damping : mu F_n and damping eta, enclosures (m,), 0 where a law has none.
     imposed : by component, C enclosures (n,), u of driven spheres, 0 for free ones; on lattices measured from the
         bottom.
     graph : where the contacts are, and the friction that they bear.
@@ -76,8 +76,8 @@ class JudgedNetwork:
     force_unit: np.ndarray
     spin: list[Enclosure]
     moment: list[Enclosure]
-    holding: Enclosure
-    slope: Enclosure
+    friction_limit: Enclosure
+    damping: Enclosure
     imposed: list[Enclosure]
     graph: Listed
     rolling: np.ndarray | None = None
@@ -97,7 +97,7 @@ class JudgedNetwork:
     @cached_property
     def acts(self) -> np.ndarray:
         """(m,) mask of the contacts with a free end and a coefficient, of friction or of viscosity."""
-        found: np.ndarray = ((self.holding.high > 0) | (self.slope.high > 0)) & self.graph.any_end(self.free)
+        found: np.ndarray = ((self.friction_limit.high > 0) | (self.damping.high > 0)) & self.graph.any_end(self.free)
         return found
 
     @cached_property
@@ -136,7 +136,7 @@ class JudgedNetwork:
         return self.acts if self.rolling is None else self.acts & ~self.graph.any_end(self.rolling)
 
     @cached_property
-    def box(self) -> np.ndarray:
+    def largest_imposed(self) -> np.ndarray:
         """(C,), for each spin component the largest size of it among driven spheres: of their spins times radius (on
         lattices measured from the bottom)."""
         return np.array([part.most.max(initial=0.0) for part in self.imposed])
@@ -147,7 +147,7 @@ class JudgedNetwork:
         (times radius) of each sphere is between the bound and its negative. On lattices, where spins are multiplied by
         the sign of the sublattice and measured from the bottom, it is between the bound and 0. The bounds hold if each
         component of a slip depends on one component of the spins."""
-        return self.graph.reach(self.box, self.sign)
+        return self.graph.reach(self.largest_imposed, self.sign)
 
     @cached_property
     def mixes(self) -> bool:
@@ -219,8 +219,8 @@ class JudgedNetwork:
             free=of(self.free),
             spin=list(map(part, self.spin)),
             moment=list(map(part, self.moment)),
-            holding=part(self.holding),
-            slope=part(self.slope),
+            friction_limit=part(self.friction_limit),
+            damping=part(self.damping),
             imposed=list(map(part, self.imposed)),
             force_unit=self.force_unit[pick],
             graph=self.graph.some(pick, self.count),
@@ -315,7 +315,7 @@ class JudgedNetwork:
     def own_moment(self) -> list[Enclosure]:
         """The stored moments (`moment`) by component, C enclosures (m,), but 0 for contacts that dissipate at no
         minimum, and along components in which no driven sphere does work."""
-        can_work = self.graph.can_do_work(self.box)
+        can_work = self.graph.can_do_work(self.largest_imposed)
         all_count = bool((self.counts == self.acts).all())  # moments are 0 where nothing acts
         return [
             (part if all_count else part.where(self.counts)) if works else zeros(len(self.acts))
@@ -353,7 +353,7 @@ class JudgedNetwork:
         """The numbers k of the spin components, 0 to C - 1, along which contacts may slip at some minimum; along all
         others no contact slips at any minimum. On a lattice the component about the height is never among them, as each
         layer may turn freely about it."""
-        return self.graph.needed(self.box, self._is_needed)
+        return self.graph.needed(self.largest_imposed, self._is_needed)
 
     def signs(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return three arrays (n,) about the connected parts of a graph. Its nodes are the n spheres, its edges the
@@ -403,9 +403,9 @@ class JudgedNetwork:
         slips, slip = mask & ((self.slip.high != 0) | (self.slip.error != 0)), self.slip
         of_friction, of_damping = nothing(self.count), nothing(self.count)
         if self.law.has_friction:
-            of_friction = row_sum(_product_in(self.holding, slip, slips).reshaped((self.count, -1)))
+            of_friction = row_sum(_product_in(self.friction_limit, slip, slips).reshaped((self.count, -1)))
         if self.law.has_viscosity:
-            of_damping = row_sum((self.slope * slip * slip).where(slips).reshaped((self.count, -1)))
+            of_damping = row_sum((self.damping * slip * slip).where(slips).reshaped((self.count, -1)))
         return of_friction, of_damping
 
 

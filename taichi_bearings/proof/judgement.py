@@ -118,7 +118,7 @@ class Judgement:
         found = self.can_all_rest.copy()
         if found.any():
             network = self.network
-            fastest = float(network.box.max(initial=0.0)) or 1.0
+            fastest = float(network.largest_imposed.max(initial=0.0)) or 1.0
             slip = self._by_sample(np.where(network.acts, network.slip.most, 0.0))
             found &= slip.max(axis=1, initial=0.0) <= STILL * fastest
         result: np.ndarray = found

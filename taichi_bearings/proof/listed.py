@@ -140,24 +140,24 @@ class Listed:
         """
         return [signs(self.contact[:, own], len(self.place))[2] for own in feels]
 
-    def reach(self, box: np.ndarray, sign: list[np.ndarray]) -> list[Enclosure]:
+    def reach(self, largest_imposed: np.ndarray, sign: list[np.ndarray]) -> list[Enclosure]:
         """Return for each of C spin components a bound on the size of u, spin times radius, of each of n spheres at
         some minimum: C enclosures (n,), filled with the largest imposed size. This bound holds where each component of
         a slip depends on one component of the spins.
 
-        box : (C,), the largest imposed size of each component.
+        largest_imposed : (C,), the largest imposed size of each component.
         sign : not used here."""
-        return [Enclosure.exact(np.full(len(self.place), size)) for size in box]
+        return [Enclosure.exact(np.full(len(self.place), size)) for size in largest_imposed]
 
-    def needed(self, box: np.ndarray, differs: Callable[[int], bool]) -> list[int]:
+    def needed(self, largest_imposed: np.ndarray, differs: Callable[[int], bool]) -> list[int]:
         """Return, in ascending order, the numbers k of the spin components along which contacts may slip at some
         minimum: those along which not all contacts can roll with the imposed spins.
 
-        box : (C,), largest absolute imposed value of each of the C components; only their number is used here.
+        largest_imposed : (C,), largest absolute imposed value of each of C components; only their number is used here.
         differs : function of k, True if the imposed spins differ along component k, so that not all contacts can roll
             along it.
         """
-        return [k for k in range(len(box)) if differs(k)]
+        return [k for k in range(len(largest_imposed)) if differs(k)]
 
     def are_whole(self, acts: np.ndarray, free: np.ndarray) -> bool:
         """Return True if it is known without a search that contacts connect every free sphere to driven ones. Here it
@@ -192,12 +192,12 @@ class Listed:
         feels : (m,) mask of the contacts which that component makes slip; only these connect."""
         return signs(self.contact[:, feels], len(self.place))[1]
 
-    def can_do_work(self, box: np.ndarray) -> list[bool]:
+    def can_do_work(self, largest_imposed: np.ndarray) -> list[bool]:
         """Return for each of C spin components whether friction can do work along it: here True for all. (On lattices
         False where both planes are driven alike.)
 
-        box : (C,), the largest imposed sizes; only its length is used."""
-        return [True] * len(box)
+        largest_imposed : (C,), the largest imposed sizes; only its length is used."""
+        return [True] * len(largest_imposed)
 
     def friction_vectors(self, moment: list[Enclosure], counts: np.ndarray) -> list[Enclosure]:
         """Return the stored friction of m contacts by component, C enclosures (m,), set to 0 for contacts that are not
@@ -258,12 +258,12 @@ class Listed:
         begin, end = self.place[self.contact[:, indices]]
         return np.asarray(begin + (end - begin) / 2)
 
-    def natural_speed(self, box: np.ndarray, speed_unit: float) -> float:
-        """Return a speed to compare slips with, in the unit of `box`: the largest imposed spin times radius.
+    def natural_speed(self, largest_imposed: np.ndarray, speed_unit: float) -> float:
+        """Return a speed to compare slips with: the largest imposed spin times radius.
 
-        box : (C,), the largest size of each imposed component, spin times radius.
+        largest_imposed : (C,), the largest size of each imposed component, spin times radius.
         speed_unit : not used here."""
-        return float(box.max(initial=0.0))
+        return float(largest_imposed.max(initial=0.0))
 
 
 @in_cache

@@ -106,7 +106,7 @@ class CutGraph:
         friction = network.moment[k].at(own)
         if (bounds.worst > 1).any():
             friction = friction / Enclosure.exact(bounds.worst[network.sample_of(own)])
-        limit = network.holding.at(own)
+        limit = network.friction_limit.at(own)
         driven = np.unique(network.graph.contact[:, own])
         driven = driven[~network.free[driven]]
         is_double = bool(odd[first].any())

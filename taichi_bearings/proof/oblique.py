@@ -94,9 +94,9 @@ def enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray, np.ndarray
         return None
     # Guess which contacts slip (S) and which rest (T), find the motions in which contacts of T roll exactly,
     # and prove that the slips of the loose contacts, the others of T, are independent.
-    at_limit = bounds.size.value >= (1 - NOT_AT_LIMIT) * network.holding.value
-    least = np.where(at_limit, SLOWLY_MOVING, MOVING) * network.box.max()
-    moves = (network.slip.value > least) | (network.holding.high == 0)
+    at_limit = bounds.size.value >= (1 - NOT_AT_LIMIT) * network.friction_limit.value
+    least = np.where(at_limit, SLOWLY_MOVING, MOVING) * network.largest_imposed.max()
+    moves = (network.slip.value > least) | (network.friction_limit.high == 0)
     slides, number = network.counts & moves, numbered(unknown)
     slipping, resting = np.flatnonzero(slides), np.flatnonzero(network.counts & ~slides)
     exact = ExactMotions.of(network, number, network.counts & ~slides)
@@ -126,7 +126,7 @@ def _proven_near(given: Centre) -> tuple[Centre, np.ndarray, np.ndarray]:
     if given.network.count > 1:
         return given, *given.proven_distance()
     among_motions = CentreAmongMotions.of(given)
-    if among_motions is None or not given.slowest < SLOW_SLIP * float(given.network.box.max()):
+    if among_motions is None or not given.slowest < SLOW_SLIP * float(given.network.largest_imposed.max()):
         for improves in (False, True):
             centre = given.improved() if improves else given
             distance, proven = centre.proven_distance()

@@ -145,7 +145,7 @@ class ObliqueLimits:
         """
         oblique = np.flatnonzero(pulls.oblique)
         index, guide, upper = pulls.own[oblique], self.guide[oblique], pulls.upper[oblique]
-        found, limit = np.zeros((2, len(network.acts))), network.holding.at(index)
+        found, limit = np.zeros((2, len(network.acts))), network.friction_limit.at(index)
         place = np.searchsorted(contacts.curved, guide)
         for slot, k in enumerate(network.needed):
             along_guide = (limit * contacts.direction[slot].at(place)).signed(self.way[oblique])

@@ -66,28 +66,28 @@ def known_friction(bounds: Bounds, far: np.ndarray) -> tuple[np.ndarray, np.ndar
     far : (E,), bound on |slip at any minimum - stored slip|, in units of the network; infinite where none is known.
     """
     network, size = bounds.network, bounds.network.slip
-    slips = network.counts & ((size.least > far) | ((network.holding.high == 0) & np.isfinite(far)))
+    slips = network.counts & ((size.least > far) | ((network.friction_limit.high == 0) & np.isfinite(far)))
     by_slackness = _distance_by_slackness(bounds)
-    known = slips | (by_slackness < NEARLY_KNOWN * network.holding.least)
+    known = slips | (by_slackness < NEARLY_KNOWN * network.friction_limit.least)
     # Size of F less the friction of the law at the stored slips, mu F_n y / |y| + eta y, for contacts that need it.
     some, friction = np.flatnonzero(slips | np.isfinite(by_slackness)), bounds.friction or network.own_friction
-    place = np.flatnonzero(network.holding.high[some] > 0)
+    place = np.flatnonzero(network.friction_limit.high[some] > 0)
     with_limit, differences = some[place], []
     for given, slip in zip(friction, network.slips(network.spin), strict=True):
-        by_law = network.slope.at(some) * slip.at(some)
-        of_limit = network.holding.at(with_limit) * (slip.at(with_limit) / size.at(with_limit))
+        by_law = network.damping.at(some) * slip.at(some)
+        of_limit = network.friction_limit.at(with_limit) * (slip.at(with_limit) / size.at(with_limit))
         by_law.put(place, by_law.at(place) + of_limit)
         differences.append(given.at(some) - by_law)
     from_law = np.zeros(len(known))
     from_law[some] = length(differences).most
     # A slip that differs by far has a unit vector that differs by 2 far / |slip| at most; that of discs is fixed.
     turn = 0 * far if len(friction) == 1 else np.where(size.least > far, 2 * far / size.least, 0.0)
-    damped = network.slope.high > 0
-    damping_force = np.where(damped, network.slope.most * (size.most + far), 0.0)
+    damped = network.damping.high > 0
+    damping_force = np.where(damped, network.damping.most * (size.most + far), 0.0)
     # In general F* and F may point in opposite directions: the sum of their largest sizes.
-    distance = network.holding.most + damping_force + length(friction).most
+    distance = network.friction_limit.most + damping_force + length(friction).most
     # Of slipping contacts: distance of F from the law, and change of the law for slips within far.
-    changed = network.holding.most * turn * UP + np.where(damped, network.slope.most * far, 0.0)
+    changed = network.friction_limit.most * turn * UP + np.where(damped, network.damping.most * far, 0.0)
     distance[slips] = (from_law + changed)[slips]
     distance = np.fmin(distance, from_law + by_slackness)
     return known, np.where(network.counts, distance * UP, 0.0)
@@ -104,8 +104,14 @@ def _distance_by_slackness(bounds: Bounds) -> np.ndarray:
     bounds : these bounds for R samples, with their spins."""
     network = bounds.network
     proven = network.on_contacts(bounds.proof == PROVEN)
-    some = network.counts & proven & (network.slope.high == 0) & (network.holding.high > 0) & (network.slip.least > 0)
-    found = 2 * network.holding.most * network.on_contacts(bounds.excess) / network.slip.least
+    some = (
+        network.counts
+        & proven
+        & (network.damping.high == 0)
+        & (network.friction_limit.high > 0)
+        & (network.slip.least > 0)
+    )
+    found = 2 * network.friction_limit.most * network.on_contacts(bounds.excess) / network.slip.least
     return np.where(some & np.isfinite(found), np.sqrt(found) * UP**3, np.inf)
 
 
@@ -123,7 +129,7 @@ def at_rest(bounds: Bounds, far: np.ndarray) -> np.ndarray:
     """
     network = bounds.network
     known, distance = known_friction(bounds, far)
-    margin = (network.holding - length(network.own_friction)).lower()
+    margin = (network.friction_limit - length(network.own_friction)).lower()
     rests = network.counts & ~known & (margin > 0) & imposed_exactly(network)
     # Each round bounds the torques by the contacts that are not assumed to rest, then the change of friction that
     # balances them, and removes the contacts with a larger change than friction left.

@@ -198,23 +198,25 @@ class Grid(Listed):
         feels : not used here."""
         return [np.tile(self.samples.sublattice.ravel(), self.samples.count)] * len(self.samples.components)
 
-    def reach(self, box: np.ndarray, sign: list[np.ndarray]) -> list[Enclosure]:
+    def reach(self, largest_imposed: np.ndarray, sign: list[np.ndarray]) -> list[Enclosure]:
         """Return for each of C spin components a bound for each of n spheres, C enclosures (n,): at some minimum the
         spin (times radius, measured from the bottom) of each sphere is between 0 and this bound. The bound is the spin
         of the top at the same coordinate along the component, with the sign of the sphere's sublattice.
 
-        box : not used here.
+        largest_imposed : not used here.
         sign : these signs by component, C arrays (n,)."""
         return [self.samples.jump_at(k).signed(s) for k, s in zip(self.samples.components, sign, strict=True)]
 
-    def needed(self, box: np.ndarray, differs: Callable[[int], bool]) -> list[int]:
+    def needed(self, largest_imposed: np.ndarray, differs: Callable[[int], bool]) -> list[int]:
         """Return the places k, 0 to C - 1, of the components along which some minimum may slip: those that are driven
         differently at bottom and top, except the one about the height, as each layer may turn freely about it.
 
-        box : (C,), the largest imposed size of each component.
+        largest_imposed : (C,), the largest imposed size of each component.
         differs : not used here."""
         samples = self.samples
-        return [k for k, of in enumerate(samples.components) if box[k] > 0 and of != samples.lattice.height_axis]
+        return [
+            k for k, of in enumerate(samples.components) if largest_imposed[k] > 0 and of != samples.lattice.height_axis
+        ]
 
     def are_whole(self, acts: np.ndarray, free: np.ndarray) -> bool:
         """Return True if there are free spheres, and all contacts with a free end take part: then contacts connect
@@ -249,12 +251,12 @@ class Grid(Listed):
         k, feels : not used here."""
         return np.broadcast_to(np.False_, self.spheres)
 
-    def can_do_work(self, box: np.ndarray) -> list[bool]:
+    def can_do_work(self, largest_imposed: np.ndarray) -> list[bool]:
         """Return for each of C spin components whether friction can do work along it: True where the two planes are
         driven differently.
 
-        box : (C,), the largest imposed size of each component, measured from the bottom."""
-        return [bool(size > 0) for size in box]
+        largest_imposed : (C,), the largest imposed size of each component, measured from the bottom."""
+        return [bool(size > 0) for size in largest_imposed]
 
     def friction_vectors(self, moment: list[Enclosure], counts: np.ndarray) -> list[Enclosure]:
         """Return `moment` itself: vectors as long as the friction F of each of m contacts. The direction is not needed
@@ -292,11 +294,11 @@ class Grid(Listed):
         indices : (q,), their indices."""
         return np.asarray(self.place[self.contact[0, indices]] + self.normal[indices] / 2)
 
-    def natural_speed(self, box: np.ndarray, speed_unit: float) -> float:
+    def natural_speed(self, largest_imposed: np.ndarray, speed_unit: float) -> float:
         """Return a speed to compare slips with, in units of `speed_unit`: the radius times the difference between the
         imposed spins of both planes, or times the spin of the bottom if there is no difference.
 
-        box : not used here."""
+        largest_imposed : not used here."""
         scene = self.samples.scene
         speed = scene.exact_driving.jump_size or abs(scene.imposed[0])
         return float(scene.lattice.radius * speed / speed_unit)

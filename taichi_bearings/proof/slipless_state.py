@@ -80,7 +80,7 @@ def _roll_exactly(network: JudgedNetwork) -> np.ndarray:
 
     network : R samples of a packing, with their stored spins."""
     # Contacts that cannot dissipate (not in `counts`) may slip.
-    nearly = ~network.counts | (network.slip.most <= NEARLY_NONE * network.box.max(initial=0.0))
+    nearly = ~network.counts | (network.slip.most <= NEARLY_NONE * network.largest_imposed.max(initial=0.0))
     found = nearly.reshape(network.count, -1).all(axis=1)
     for number in np.flatnonzero(found).tolist():
         found[number] = _rolls_exactly(network.some(slice(number, number + 1)))

@@ -63,10 +63,12 @@ def natural(network: JudgedNetwork) -> np.ndarray:
     radius).
 
     network : the R samples."""
-    fastest = network.graph.natural_speed(network.box, network.speed_unit)
+    fastest = network.graph.natural_speed(network.largest_imposed, network.speed_unit)
     acts = np.flatnonzero(network.acts)
-    holding, slope = (network.by_sample(values.at(acts), acts).value for values in (network.holding, network.slope))
-    return np.asarray(holding * fastest + slope * fastest**2 / 2)
+    limit, damping = (
+        network.by_sample(values.at(acts), acts).value for values in (network.friction_limit, network.damping)
+    )
+    return np.asarray(limit * fastest + damping * fastest**2 / 2)
 
 
 @dataclass(frozen=True)
@@ -94,16 +96,16 @@ class Springs:
 
         upper : (R,), for each of R samples a number above 0 that the potential of minima does not exceed, in units of
             the network. Springs are made for no less than LEAST_POWER of the natural potential."""
-        holding, slope = (np.where(network.counts, v.value, 0.0) for v in (network.holding, network.slope))
-        least_holding = np.where(holding > 0, holding, np.inf).reshape(network.count, -1).min(axis=1, initial=np.inf)
-        least_holding, potential = network.on_contacts(least_holding), network.on_contacts(upper)
+        limit, damping = (np.where(network.counts, v.value, 0.0) for v in (network.friction_limit, network.damping))
+        least_limit = np.where(limit > 0, limit, np.inf).reshape(network.count, -1).min(axis=1, initial=np.inf)
+        least_limit, potential = network.on_contacts(least_limit), network.on_contacts(upper)
         most = network.on_contacts(np.maximum(upper, LEAST_POWER * natural(network)))
         # q is w w_min / Phi^2 or eta / (2 Phi), with the friction limit w, the damping eta and the potential Phi. Slips
         # of minima are at most Phi / w and (2 Phi / eta)^1/2.
         with np.errstate(all="ignore"):
-            of_friction = np.where(least_holding < np.inf, holding * (least_holding / most) / most, 0.0)
-            weight = np.maximum(of_friction, slope / most / 2)
-            fastest = np.where(network.counts, np.minimum(potential / holding, np.sqrt(2 * potential / slope)), 0.0)
+            of_friction = np.where(least_limit < np.inf, limit * (least_limit / most) / most, 0.0)
+            weight = np.maximum(of_friction, damping / most / 2)
+            fastest = np.where(network.counts, np.minimum(potential / limit, np.sqrt(2 * potential / damping)), 0.0)
         number = np.full((len(network.free), 3), -1)
         is_unknown = network.reached[:, None] & ~turning_freely(network)
         number[is_unknown] = np.arange(is_unknown.sum())
@@ -205,7 +207,7 @@ def rolling(network: JudgedNetwork) -> np.ndarray:
     network : a packing with N spheres, and the friction of its contacts."""
     size = np.sqrt((network.graph.friction**2).sum(axis=1))
     largest = network.on_contacts(size.reshape(network.count, -1).max(axis=1, initial=0.0))
-    small = UNSTRESSED * np.where(network.holding.high > 0, network.holding.high, largest)
+    small = UNSTRESSED * np.where(network.friction_limit.high > 0, network.friction_limit.high, largest)
     ends = network.graph.contact[:, network.counts & (size > small)]
     candidates = network.reached.copy()
     candidates[ends.ravel()] = False

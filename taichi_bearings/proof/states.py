@@ -109,7 +109,7 @@ def proven_states(bounds: Bounds) -> list[States]:
     elif (bounds.proof != PROVEN).any():
         found = _all_undecided(network, "the lower bound is not proven for all spins")
     elif network.law.has_viscosity:  # all cases below have friction alone
-        far = np.sqrt(2 * network.on_contacts(bounds.excess) / network.slope.least) * UP
+        far = np.sqrt(2 * network.on_contacts(bounds.excess) / network.damping.least) * UP
         known = _slipping_beyond(network, far)
         found = _samples(network, known, "slips are small, or nothing is known of what bears no viscosity", True)
         near = _enclosed_minimum(bounds) if network.mixes and network.law.has_friction else None
@@ -164,7 +164,7 @@ def _can_be_enclosed_together(bounds: Bounds) -> bool:
     Contacts with damping alone need closer bounds on their slips than those for several samples together.
 
     bounds : bounds on the power of the samples, with their friction."""
-    has_friction = bounds.network.holding.high[bounds.network.counts] > 0
+    has_friction = bounds.network.friction_limit.high[bounds.network.counts] > 0
     return bool((bounds.proof == PROVEN).all() and bounds.network.law.has_friction and has_friction.all())
 
 
@@ -191,7 +191,7 @@ def _enclosed(network: JudgedNetwork, near: tuple[np.ndarray, np.ndarray, np.nda
         that is not used here.
     """
     may_slip, far, _ = near
-    slips = (network.holding.high > 0) | (network.slip.least > far)
+    slips = (network.friction_limit.high > 0) | (network.slip.least > far)
     states = np.where(slips, SLIPPING, UNDECIDED)
     return _samples(network, np.where(may_slip & network.counts, states, SLIPLESS), "slips are small", None)
 
@@ -281,7 +281,7 @@ def _of_packings(network: JudgedNetwork) -> list[States]:
     loops by those for normals in any direction.
 
     network : the R samples with stored spins and friction."""
-    slip, fastest = network.slip.value, network.box.max()
+    slip, fastest = network.slip.value, network.largest_imposed.max()
     still, nearly_still = (network.counts & (slip <= most * fastest) for most in (STILL_IN_PAIRS, STILL))
     if network.count > 1:
         known = _by_domains(network, still)
@@ -335,7 +335,10 @@ def _with_damping(bounds: Bounds, known: list[States]) -> list[States]:
     network, count = bounds.network, bounds.network.count
     if not network.law.has_friction or network.mixes or not network.needed:
         return known
-    margin, slip = 1 - bounds.size.value / network.holding.value, network.slip.value / network.box.max()
+    margin, slip = (
+        1 - bounds.size.value / network.friction_limit.value,
+        network.slip.value / network.largest_imposed.max(),
+    )
     rests = network.counts & (margin > slip)
     unclear = network.counts & (np.maximum(margin, slip) < CLEAR_RATIO * np.minimum(margin, slip))
     improved = []
@@ -414,7 +417,7 @@ def _limits_repeat(motion: Motion) -> bool:
     """
     network = motion.network
     slipping = np.flatnonzero(network.counts & ~motion.rests)
-    limit, sample = network.holding.high[slipping], network.sample_of(slipping)
+    limit, sample = network.friction_limit.high[slipping], network.sample_of(slipping)
     if (np.diff(np.sort(limit)) != 0).all():  # no two of all samples; to sort by sample takes ten times as long
         return False
     order = np.lexsort((limit, sample))
@@ -471,8 +474,8 @@ def _by_cones(bounds: Bounds) -> np.ndarray:
     network = bounds.network
     if bounds.unknown is None:
         return np.full(len(network.acts), np.inf)
-    limit, slip = np.where(network.counts, network.holding.value, 0.0), network.slip.most
-    margin = np.maximum((network.holding - bounds.size).lower(), 0.0)
+    limit, slip = np.where(network.counts, network.friction_limit.value, 0.0), network.slip.most
+    margin = np.maximum((network.friction_limit - bounds.size).lower(), 0.0)
     # Direction n x F / |F|, across friction and normal, for contacts near their limit.
     moment = np.stack([part.value for part in moments(bounds.friction, network.graph.normal)], axis=1)
     across = moment / np.linalg.norm(moment, axis=1)[:, None]

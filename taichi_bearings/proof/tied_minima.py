@@ -297,7 +297,7 @@ class Saturated:
         motion : stored spins of one sample, with the contacts that rest and the friction of all.
         missed : the largest share of mu F_n by which the friction of such a contact is below its limit.
         """
-        network, strength = motion.network, motion.network.holding.value
+        network, strength = motion.network, motion.network.friction_limit.value
         parts = np.abs([network.moment[k].high for k in network.needed])
         mask = motion.rests & (np.hypot(*parts) >= (1 - missed) * strength) & network.counts
         along = (parts == parts.max(axis=0)) | (parts > MOST_ACROSS * strength)
@@ -313,7 +313,7 @@ class Saturated:
         not be saturated: they miss more than SURELY_FULL of their friction. Return None if there are none to leave out.
 
         unbalanced : (2, spheres) mask, by component, of spheres on which the friction does not balance with them."""
-        limit, first, second = self.network.holding.value, *self.network.graph.contact
+        limit, first, second = self.network.friction_limit.value, *self.network.graph.contact
         parts = [self.network.moment[k].high for k in self.network.needed]
         at = [self.along[slot] & (unbalanced[slot, first] | unbalanced[slot, second]) for slot in range(2)]
         left_out = (at[0] | at[1]) & (np.hypot(*parts) < (1 - SURELY_FULL) * limit)
@@ -325,7 +325,7 @@ class Saturated:
         friction is along the other component. For oblique contacts only the sign has a meaning."""
         saturated = np.flatnonzero(self.mask)
         sign = np.sign(self.network.moment[self.network.needed[slot]].high[saturated])
-        return self.network.holding.at(saturated).signed(sign * self.along[slot, saturated])
+        return self.network.friction_limit.at(saturated).signed(sign * self.along[slot, saturated])
 
     def without_rest(self, moves: np.ndarray) -> Motion:
         """Return the motion in which some contacts are no longer taken to rest.

@@ -60,10 +60,10 @@ def test_the_minimum_is_as_near_as_is_proven(centre, size):
 
 @np.errstate(all="ignore")
 def test_nothing_is_known_of_the_direction_of_a_slip_whose_friction_limit_may_be_0(centre):
-    holding, at = centre.network.holding, centre.with_friction[0]
-    error = holding.error.copy()
-    error[centre.slipping[at]] = 2 * holding.high[centre.slipping[at]]
-    network = replace(centre.network, holding=Enclosure(holding.high, holding.low, error))
+    limit, at = centre.network.friction_limit, centre.with_friction[0]
+    error = limit.error.copy()
+    error[centre.slipping[at]] = 2 * limit.high[centre.slipping[at]]
+    network = replace(centre.network, friction_limit=Enclosure(limit.high, limit.low, error))
     _, turned, proven = replace(centre, network=network)._distance_of_minimum()
     assert not turned[at] < np.inf
     assert not proven.any()
