@@ -71,8 +71,9 @@ def system_of(bearing: Bearing) -> ContactSystem:
     """
 
     def make() -> Made:
-        """Return the contact system of the bearing. Return also what its samples share, if that is made here anyway to
-        check that no motion is without slip; else None."""
+        """Return the contact system of the bearing, without the motions in which no contact slips. Return also the
+        Newton matrix with its order of elimination, for further samples, if it shows that there are no such motions;
+        else None."""
         system = ContactSystem.before_motions(bearing)
         if system.motions is not None or not system.unknowns:
             return system, None

@@ -122,9 +122,10 @@ class Pulls:
 
     @cached_property
     def welded_locked(self) -> np.ndarray:
-        """(2, spheres), for either component the number of the welded domain of each sphere: `locked_domain`s that have
-        to move together from one minimum to another, since otherwise the slip of a contact would change its direction.
-        It is 0 for a welded domain with a driven sphere, then 1, 2, ..."""
+        """(2, spheres), for both spin components the number of the welded domain of each sphere, made of locked domains
+        (`locked_domain`). Several of these are welded if they can only move together from one minimum to another: else
+        the slip of a contact between them would change its direction, which is the same at all minima. Number 0 has a
+        driven sphere; the others are 1, 2, ..."""
         return np.array([self._welded_domains(self.locked_domain, slot) for slot in range(2)])
 
     def _welded_domains(self, label: np.ndarray, slot: int) -> np.ndarray:

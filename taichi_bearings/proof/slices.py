@@ -219,8 +219,8 @@ class Grid(Listed):
         ]
 
     def are_whole(self, acts: np.ndarray, free: np.ndarray) -> bool:
-        """Return True if there are free spheres, and all contacts with a free end take part: then contacts connect
-        every sphere to both planes.
+        """Return True if it is known without a search that contacts connect every free sphere to both driven planes: if
+        all contacts with a free end take part, and no others.
 
         acts : (m,) mask of the contacts that take part.
         free : (n,) mask of the free spheres."""

@@ -67,8 +67,10 @@ class Motions:
     known: dict[float, _Motion] = field(default_factory=dict)
 
     def at(self, strength: float) -> _Motion:
-        """Return the motion of the top at `strength` times its imposed motion, which is solved if it is not known. The
-        torque is P / strength; the bounds are those of the objective, which is `share` times the potential.
+        """Return the motion of the top at `strength` times its imposed motion; it is solved at the first call and kept.
+
+        The torque is the power over `strength`. The bounds are those of the least potential: the objective, which a
+        solver bounds, is `law.share` times the potential.
         """
         if strength not in self.known:
             found = self.solve(self.scene.with_top(strength))
