@@ -54,12 +54,12 @@ class Result:
 
     It is the same whether it was solved just now or read from a file. Arrays are read-only.
 
-    * With a single sample arrays have no axis of samples. With R samples each number is an array (R,), and each array
-      begins with an axis R; `result[0]` is one sample alone, and `for one in result` goes through all.
-    * N is the lattice, such as (nx, ny, nz), or the number of spheres of a packing.
-    * What lies on contacts is a tuple with one array for each axis, x, y(, z), of the shapes of `scene.coefficients`;
-      for packings of E contacts it is one array (E,).
-    * Contacts between driven spheres and absent ones are left out of `power`.
+    With a single sample arrays have no axis of samples. With R samples each number is an array (R,), and each array
+    begins with an axis R; `result[0]` is one sample alone, and `for one in result` goes through all.
+
+    N is the lattice, such as (nx, ny, nz), or the number of spheres of a packing. What lies on contacts is a tuple with
+    one array for each axis, x, y(, z), of the shapes of `scene.coefficients`; for packings of E contacts it is one
+    array (E,). Contacts between driven spheres and absent ones are left out of `power`.
 
     Attributes
     ----------
