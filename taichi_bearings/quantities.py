@@ -282,14 +282,14 @@ SAMPLES = _named(
         Quantity("unproven", "1", "number of contacts of which it is not proven whether they slip",
                  lambda a: a.solution.unproven),
         Quantity("largest_slipless_slip", "length/time",
-                 "on lattices, largest slip speed of a contact that counts as slipless",
+                 "largest slip speed of a contact that counts as slipless (lattices only)",
                  _of_unique_slips(lambda a: a.separation.largest_slipless)),
         Quantity("smallest_slipping_slip", "length/time",
-                 "on lattices, smallest slip speed of a contact that counts as slipping",
+                 "smallest slip speed of a contact that counts as slipping (lattices only)",
                  _of_unique_slips(lambda a: a.separation.smallest_slipping)),
-        Quantity("separation_decades", "1", "on lattices, log10 of the ratio of two slip speeds, the smallest of a"
-                 " slipping contact and the largest of a slipless one; the rounding of the imposed spins replaces the"
-                 " latter if it is larger",
+        Quantity("separation_decades", "1", "log10 of the ratio of two slip speeds, the smallest of a slipping contact"
+                 " and the largest of a slipless one; the rounding of the imposed spins replaces the latter if it is"
+                 " larger (lattices only)",
                  _of_unique_slips(_decades)),
         Quantity("slip_threshold", "length/time", "slip speed up to which a contact counts as slipless; if the user"
                  " gives none, the method chooses one, which decides only where no proof does",
