@@ -251,6 +251,7 @@ def test_many_scenes_come_as_they_are_solved_in_processes_of_their_own():
 
 
 OWN_LAW = """
+import numpy as np
 from taichi_bearings.scene.law import LAWS, Law, Quantity
 import taichi_bearings as tb
 
@@ -258,7 +259,7 @@ class Square(Law):
     def force(self, of, slip): return of[0] * slip
     def power(self, of, slip): return of[0] * slip**2
     def potential(self, of, slip): return of[0] * slip**2 / 2
-    def conjugate(self, of, force): return force**2 / (2 * of[0])
+    def conjugate(self, of, force): return np.where(of[0] > 0, force**2 / np.where(of[0] > 0, 2 * of[0], 1), 0)
     def steepest(self, of, slip): return of[0]
 
 LAWS["square"] = Square("square", (Quantity("damping", "force*time/length"),), minimises="potential")

@@ -60,7 +60,7 @@ def test_what_a_motion_takes_away_is_bounded_in_fractions():
     packing = tb.Packing.lattice("bcc", (2, 2, 2), seed=3)
     bounds = judged(packing).bounds
     network, number = bounds.network, numbered(bounds.unknown)
-    slides = network.counts & (network.slip.value > 1e-10 * network.box.max())
+    slides = network.counts & (network.slip.value > 1e-10 * network.largest_imposed.max())
     exact, unit = ExactMotions.none(network), np.ones(packing.contacts)
     ends = np.flatnonzero(slides), np.flatnonzero(network.counts & ~slides)
     centre = Centre(network, exact, LooseFloor(np.ones(1), unit), number, *ends, network.spin, bounds.friction)
