@@ -226,7 +226,7 @@ def _outwards(tree: list[Link], root: Node) -> list[tuple[Link, int]]:
     tree : its links.
     root : one of its nodes."""
     nodes, ends = _numbered(tree)
-    graph = sparse.csr_array((np.ones(len(tree)), tuple(ends)), shape=(len(nodes), len(nodes)))
+    graph = sparse.csr_array((np.ones(len(tree)), tuple(ends.astype(np.int32))), shape=(len(nodes), len(nodes)))
     order, before = breadth_first_order(graph, nodes.index(root), directed=False)
     link_of = {link.nodes: link for link in tree}  # by its nodes, that of component 0 first
     near_and_far = [(nodes[before[number]], nodes[number]) for number in order[1:]]

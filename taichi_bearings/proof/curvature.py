@@ -542,8 +542,8 @@ def _clusters(contacts: Slipping) -> sparse.csr_array:
     # longer than all slips; that of the driven node is the shortest of them, so that it is the head of its cluster.
     everything, longest = np.arange(source), slip.max(initial=1.0)
     to_source = (2 + np.append(everything[1:], 0)) * longest
-    row, column = np.append(low, everything).astype(np.int32), np.append(high, np.full(source, source, dtype=np.int32))
-    graph = sparse.csr_array((np.append(slip, to_source), (row, column)), shape=(source + 1, source + 1))
+    edges = np.stack([np.append(low, everything), np.append(high, np.full(source, source))]).astype(np.int32)
+    graph = sparse.csr_array((np.append(slip, to_source), tuple(edges)), shape=(source + 1, source + 1))
     linked = minimum_spanning_tree(graph)
     # The neighbour of each unknown that is next on the way to the head of its cluster; the source beyond the head.
     next_to_head = breadth_first_order(linked, source, directed=False)[1][: contacts.unknowns]

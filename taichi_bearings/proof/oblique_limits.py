@@ -299,7 +299,8 @@ class Movable:
             lower, upper = node[pulls.lower[rests]], node[pulls.upper[rests]]
             larger, smaller = np.where(forward, upper, lower), np.where(forward, lower, upper)
             size = count + len(rest_of_domain)
-            graph = sparse.csr_array((np.ones(len(larger)), (larger, smaller)), shape=(size, size))
+            edges = np.stack([larger, smaller]).astype(np.int32)
+            graph = sparse.csr_array((np.ones(len(larger)), tuple(edges)), shape=(size, size))
             for number, rest in enumerate(rest_of_domain):
                 # A pair that may only move ahead of the rest of its domain stands still if a path leads from the rest
                 # to the pair, so that its y is no larger; one that may only fall behind if a path leads back.
