@@ -9,10 +9,9 @@ strong contacts no longer hides weak ones.
 """
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.conic.contact_system import ContactSystem
+from taichi_bearings.numerics.graphs import pieces
 
 SPREAD = 1e3  # ratio of largest and smallest friction up to which nothing is changed: doubles can handle that
 
@@ -57,19 +56,17 @@ def _cut(low: np.ndarray, high: np.ndarray, friction: np.ndarray, bottom: int, t
     levels = np.unique(friction)
     begin, end = 0, len(levels) - 1
 
-    def pieces(level: int) -> np.ndarray:
+    def joined(level: int) -> np.ndarray:
         """Return the number (top + 1,) of the connected piece of each node, joined by links stronger than number
         `level` of the sorted frictions."""
         some = friction > levels[level]
-        links = (np.ones(some.sum(), dtype=np.int8), (low[some], high[some]))
-        graph = sparse.coo_matrix(links, shape=(top + 1, top + 1))
-        return np.asarray(connected_components(graph, directed=False)[1])
+        return pieces(top + 1, low[some], high[some])
 
     # Bisection for the weakest level of friction above which links no longer join bottom and top.
     while begin < end:
         middle = (begin + end) // 2
-        label = pieces(middle)
+        label = joined(middle)
         begin, end = (middle + 1, end) if label[bottom] == label[top] else (begin, middle)
-    label = pieces(begin)
+    label = joined(begin)
     side = label == label[bottom]
     return float(friction[side[low] != side[high]].sum())

@@ -1,9 +1,28 @@
-"""Finds the connected pieces of a graph, and which of them have loops of odd length. SciPy's searches do the work.
+"""Makes graphs, and finds their connected pieces and which of these have loops of odd length, by SciPy's searches.
 
 SciPy is loaded when they are first called: it takes a third of a second, and scenes on lattices do without them.
 """
 
+from typing import TYPE_CHECKING
+
 import numpy as np
+
+if TYPE_CHECKING:
+    from scipy import sparse
+
+
+def graph_of(nodes: int, first: np.ndarray, second: np.ndarray, length: np.ndarray | None = None) -> "sparse.csr_array":
+    """Return a graph for the searches of SciPy, (nodes, nodes). Its indices have 32 bits, the only ones that the older
+    versions take.
+
+    nodes : number of nodes.
+    first, second : (edges,), the two ends of each edge; it leads from the first to the second.
+    length : (edges,), length of each edge; None for 1.
+    """
+    from scipy import sparse
+
+    ends = first.astype(np.int32), second.astype(np.int32)
+    return sparse.csr_array((np.ones(len(first)) if length is None else length, ends), shape=(nodes, nodes))
 
 
 def pieces(nodes: int, first: np.ndarray, second: np.ndarray) -> np.ndarray:

@@ -36,10 +36,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order
 
-from taichi_bearings.numerics.graphs import pieces
+from taichi_bearings.numerics.graphs import graph_of, pieces
 from taichi_bearings.proof.curvature import Slipping
 from taichi_bearings.proof.enclosure import UP
 from taichi_bearings.proof.pulls import Pulls
@@ -226,8 +225,7 @@ def _outwards(tree: list[Link], root: Node) -> list[tuple[Link, int]]:
     tree : its links.
     root : one of its nodes."""
     nodes, ends = _numbered(tree)
-    graph = sparse.csr_array((np.ones(len(tree)), tuple(ends.astype(np.int32))), shape=(len(nodes), len(nodes)))
-    order, before = breadth_first_order(graph, nodes.index(root), directed=False)
+    order, before = breadth_first_order(graph_of(len(nodes), *ends), nodes.index(root), directed=False)
     link_of = {link.nodes: link for link in tree}  # by its nodes, that of component 0 first
     near_and_far = [(nodes[before[number]], nodes[number]) for number in order[1:]]
     return [(link_of[min(pair), max(pair)], pair[0][0]) for pair in near_and_far]

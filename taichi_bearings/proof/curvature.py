@@ -52,7 +52,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 
 from taichi_bearings.dissection import Part
-from taichi_bearings.numerics.graphs import pieces
+from taichi_bearings.numerics.graphs import graph_of, pieces
 from taichi_bearings.proof.enclosure import UP, Enclosure, grouped_sum, joined, length
 from taichi_bearings.proof.judged_network import JudgedNetwork, Motion
 from taichi_bearings.proof.rounded_elimination import EPS, Elimination, Factor, Samples
@@ -542,9 +542,8 @@ def _clusters(contacts: Slipping) -> sparse.csr_array:
     # longer than all slips; that of the driven node is the shortest of them, so that it is the head of its cluster.
     everything, longest = np.arange(source), slip.max(initial=1.0)
     to_source = (2 + np.append(everything[1:], 0)) * longest
-    edges = np.stack([np.append(low, everything), np.append(high, np.full(source, source))]).astype(np.int32)
-    graph = sparse.csr_array((np.append(slip, to_source), tuple(edges)), shape=(source + 1, source + 1))
-    linked = minimum_spanning_tree(graph)
+    edges = np.append(low, everything), np.append(high, np.full(source, source))
+    linked = minimum_spanning_tree(graph_of(source + 1, *edges, np.append(slip, to_source)))
     # The neighbour of each unknown that is next on the way to the head of its cluster; the source beyond the head.
     next_to_head = breadth_first_order(linked, source, directed=False)[1][: contacts.unknowns]
     # The change of a domain is the sum of the variables on its way to the head, itself first: an entry 1 for each.

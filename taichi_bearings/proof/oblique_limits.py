@@ -38,10 +38,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order
 
-from taichi_bearings.numerics.graphs import pieces
+from taichi_bearings.numerics.graphs import graph_of, pieces
 from taichi_bearings.proof.curvature import Slipping
 from taichi_bearings.proof.enclosure import UP
 from taichi_bearings.proof.judged_network import JudgedNetwork
@@ -299,8 +298,7 @@ class Movable:
             lower, upper = node[pulls.lower[rests]], node[pulls.upper[rests]]
             larger, smaller = np.where(forward, upper, lower), np.where(forward, lower, upper)
             size = count + len(rest_of_domain)
-            edges = np.stack([larger, smaller]).astype(np.int32)
-            graph = sparse.csr_array((np.ones(len(larger)), tuple(edges)), shape=(size, size))
+            graph = graph_of(size, larger, smaller)
             for number, rest in enumerate(rest_of_domain):
                 # A pair that may only move ahead of the rest of its domain stands still if a path leads from the rest
                 # to the pair, so that its y is no larger; one that may only fall behind if a path leads back.
