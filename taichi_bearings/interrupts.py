@@ -311,8 +311,11 @@ class Interrupt:
         _thread.interrupt_main()
 
     def _hear(self, _: int, frame: FrameType | None) -> None:
-        """Handle Ctrl-C or SIGTERM: set `heard`, and raise GivenUp if work runs inside `at_once`. If this process has
-        sent the signal itself, as at the end of the time that `at_once` allows, `heard` stays as it is.
+        """Handle Ctrl-C or SIGTERM.
+
+        The first signal sets `heard`; a later one raises KeyboardInterrupt if more than IMPATIENCE seconds have passed.
+        A signal that this process has sent to itself, as at the end of the time that `at_once` allows, does neither.
+        Then work inside `at_once` is given up: GivenUp is raised, or, while a module is being loaded, soon after.
 
         frame : frame of Python that the signal interrupts.
         _ : number of the signal.

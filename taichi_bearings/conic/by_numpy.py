@@ -84,9 +84,10 @@ class _Numbers:
     first: int
 
     def __getitem__(self, place: "slice | _Contacts") -> float:
-        """Return constant k.
+        """Return the constant values[k] for a place that a law reads.
 
-        place : k * BLOCK + m, which is the slice that begins at k * BLOCK + first; or m alone, for k = 0.
+        place : k * BLOCK + m. As m is the range of contacts from `first` on, that is a slice that begins at
+            k * BLOCK + first; for k = 0 a law writes m alone.
         """
         return self.values[0 if isinstance(place, _Contacts) else (place.start - self.first) // kernels.BLOCK]
 

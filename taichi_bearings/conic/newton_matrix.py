@@ -264,12 +264,14 @@ class NewtonMatrix:
     def balanced(
         self, dual: np.ndarray, springs: np.ndarray, load: np.ndarray | float = 0.0, solves: int = REFINEMENTS
     ) -> np.ndarray:
-        """Return forces (d, n) with the torques `load`, up to rounding: `dual` plus the forces that fictitious springs
-        at the contacts have after the spins have changed until torques balance.
+        """Return forces (d, n) close to `dual` that exert the torques `load`, but for rounding.
 
-        dual : (d, n), forces to begin with.
-        springs : (n,), stiffness of the spring at each contact, which resists every slip component alike.
-        load : (unknowns,), torques that the forces are to have, or 0.
+        They are `dual` plus the forces of fictitious springs at the contacts. A linear solve finds the change of the
+        spins that stretches these springs as much as is needed.
+
+        dual : (d, n), forces to begin with, of n contacts with d slip components.
+        springs : (n,), stiffness of the spring at each contact, the same for every slip component.
+        load : (unknowns,), torque wanted for each unknown spin component; 0 for none.
         solves : number of solves; those after the first correct the rounding.
 
         Raises NotPositiveDefinite if there are too few springs, so that their matrix is singular.

@@ -343,9 +343,10 @@ def _minimum_along_path(iterate: Iterate, before: Iterate | None, shared: Surrou
     before : the point one step before, None if unknown.
     shared : what all samples share.
 
-    There are several trials, up to the first one whose states are sure; each is a minimum of the smooth power with
-    balanced forces. They differ in which contacts are tied, so that they cannot slip, and in how far the path is
-    followed. All but the first trial begin where few contacts are undecided.
+    Trials are made in turn up to the first one that is sure of the states of all contacts. A trial follows the path
+    until it shows of most contacts whether they slip or stick (others are *undecided*), and then finds the minimum at
+    which contacts that stick do not slip. Some contacts may be *tied* before: their two spins are made equal. All but
+    the first trial begin where few contacts are undecided. There may be several minima where friction limits repeat.
 
     ============================  =====  ====================================  ===================================
     minima                        trial  tied contacts                         path followed until

@@ -276,11 +276,12 @@ class Movable:
         return np.array([np.where(of.least > change, np.sign(of.high) * way, 0) for of in slips]).astype(int)
 
     def blocked(self, pulls: Pulls, signs: np.ndarray, excluded: np.ndarray) -> np.ndarray:
-        """Return the mask (m,) of the pairs that are proven to stand still from one minimum to another (step 4 of the
-        proof): a chain of contacts that may only slip forward excludes the only direction in which the pair may move.
+        """Return the mask (m,) of the pairs of domains (step 1 of the proof) that at no minimum move against the rest
+        of their locked domain (step 4): in one of the two spin components, a chain of contacts excludes the only
+        direction in which the pair may move. Each contact of the chain may only slip forward.
 
-        pulls : the n contacts whose friction is at its limit.
-        signs : (2, m), sign of the only direction in which a pair may move, by component; 0 if not known.
+        pulls : the contacts whose friction is at its limit, slipping ones (S) and resting ones (C); chains are of C.
+        signs : (2, m), sign of that direction in each component; 0 if it is not known.
         excluded : (2, spheres) mask of spheres that may move in other ways; contacts at these are not used."""
         found = np.zeros(len(self.pairs), dtype=bool)
         for slot in range(2):

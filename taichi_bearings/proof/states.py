@@ -182,13 +182,15 @@ def _beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
 
 
 def _enclosed(network: JudgedNetwork, near: tuple[np.ndarray, np.ndarray, np.ndarray]) -> list[States]:
-    """Return the states of all samples, as a list, from bounds on the slips of minima. A contact that cannot slip is
-    SLIPLESS. One that may slip is SLIPPING if it has friction, or if its stored slip exceeds its bound; else it is
-    UNDECIDED.
+    """Return the states of all samples, as a list, from what `enclosed_minimum` (oblique.py) has proven.
+
+    * SLIPLESS: contacts outside the mask of those that may slip; they rest at every minimum.
+    * SLIPPING: contacts of the mask with friction, as they are proven to slip at every minimum; and those with damping
+      alone whose stored slip exceeds its bound.
+    * UNDECIDED: all other contacts of the mask.
 
     network : the samples, with E contacts in all.
-    near : a mask (E,) of contacts that may slip, bounds (E,) on |slip at any minimum - stored slip|, and a third entry
-        that is not used here.
+    near : the mask (E,), bounds (E,) on |slip at any minimum - stored slip|, and a third entry that is not used here.
     """
     may_slip, far, _ = near
     slips = (network.friction_limit.high > 0) | (network.slip.least > far)
